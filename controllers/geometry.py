@@ -10,7 +10,7 @@ from torch import Tensor
 class Place:
     """Rectangles `[..., 3]` m in the world: a corner, two sides along symbol u and v, and the unit normal of the side that takes light.
 
-    A reader sees u to the right and v down, so the normal towards the reader is -d1 x d2.
+    To a reader u points right and v down, so the normal towards the reader is -d1 x d2.
     """
 
     origin: Tensor

@@ -1,7 +1,7 @@
 """A bank of PID loops as tensors: explicit time step, filtered derivative, output and rate limits, anti-windup, bumpless reset.
 
-The sign is `kp * error + ...`: a caller whose plant answers with the other sign hands in the negated error. Time is in whatever unit
-`dt` has (seconds, or control steps with `dt = 1`); every time constant and rate below is in that unit.
+The sign is `kp * error + ...`; for a plant of negative gain, negate the error. Time is in whatever unit `dt` has (seconds, or control steps
+with `dt = 1`); every time constant and rate below is in that unit.
 """
 
 import math
@@ -17,11 +17,11 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.params import NotNegative, Params, Real
 
 Form = Literal["position", "incremental"]
-UNLIMITED = {"lower": -math.inf, "upper": math.inf, "rate_limit": math.inf, "tracking_time": math.inf}  # of a parameter that is left out
+UNLIMITED = {"lower": -math.inf, "upper": math.inf, "rate_limit": math.inf, "tracking_time": math.inf}  # defaults of parameters
 
 
 class PidParams(Params):
-    """One loop as in a scenario file; a parameter that is left out is unlimited or off."""
+    """One loop as in a scenario file; by default limits are infinite and options off."""
 
     kp: Real = Field(0.0, description="proportional gain")
     ki: Real = Field(0.0, description="integral gain, per unit of time")
@@ -62,8 +62,8 @@ class PidGains:
 class PidState:
     """State of a bank, each `[..., n]`.
 
-    integral: the integral's part of the PID sum, so that gains can change without a jump. derivative: filtered derivative of the error.
-    previous_error, output: of the last step. initialised: bool, false between a reset and the first step.
+    integral: integral term of the PID sum, including its gain, so that gains can change without a jump. derivative: filtered derivative of
+    the error. previous_error, output: of the last step. initialised: bool, false between a reset and the first step.
     """
 
     integral: Tensor
@@ -104,7 +104,7 @@ def pid_step(state: PidState, error: Tensor, dt: float | Tensor, gains: PidGains
     """Advance the bank (T 9.4.1, 9.4.3) by `dt` with errors `[..., n]`: the new state, with its limited output.
 
     Backward Euler: `C(z) = kp + ki dt z / (z - 1) + kd (z - 1) / ((T + dt) z - T)` with T the derivative time; in incremental form times
-    `dt z / (z - 1)`. Limits are never exceeded, not even after a reset outside them, where they override the rate limit.
+    `dt z / (z - 1)`. Limits hold even after a reset outside them, where they override the rate limit.
     """
     previous_error = torch.where(state.initialised, state.previous_error, error)
     derivative = (gains.derivative_time * state.derivative + error - previous_error) / (gains.derivative_time + dt)
@@ -118,7 +118,7 @@ def pid_step(state: PidState, error: Tensor, dt: float | Tensor, gains: PidGains
     output = torch.clamp(wanted, state.output - reach, state.output + reach)
     output = torch.clamp(output, gains.lower, gains.upper)
 
-    # Tracking faster than one step would overshoot, hence the minimum.
+    # Tracking faster than one step would overshoot.
     unwind = torch.where(gains.tracking_time > 0, (dt / gains.tracking_time).clamp(max=1.0), 0.0)
     excess = output - wanted
     integral = integral + unwind * (excess if gains.form == "position" else excess / dt)

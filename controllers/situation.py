@@ -28,7 +28,7 @@ MASK = 1000  # priority of masks: above every function's own, which are at most 
 
 @dataclass(frozen=True, eq=False)
 class TrackedObject:
-    """A box around an object.
+    """A tracked object and its box.
 
     name: unique name of the object or its track. category: its class. T_world_object: `[4, 4]`, pose of the box in the world, origin at the
     centre of its foot, x along its length, z up. size_m: length, width, height. since_s: time at which the tracker first saw it. until_s:
@@ -70,7 +70,7 @@ class TrackedObject:
 
 @dataclass(frozen=True, eq=False)
 class CameraImage:
-    """The last camera frame, measured.
+    """Measured quantities of the last camera frame.
 
     time_s: when the frame was taken. view: of the camera. luminance: `[height, width]` cd/m^2. saturation: largest measurable luminance,
     cd/m^2. albedo: `[height, width]` in 0..1, None without a source of albedo. material: `[height, width]` int64, index in materials, -1
@@ -95,10 +95,10 @@ class Situation:
     time_s: since the start. T_world_vehicle: `[4, 4]`, pose of the vehicle frame; the road is its plane z = 0. lamps: `[L, 3]` m,
     photometric centres of all modules, by the measured attitude of the body. objects: the tracked objects, lost ones until they have faded.
     speed_m_s: of the car. curvature_1_m: of its course, left positive. wet: whether the road is wet. street_lit: whether street lamps light
-    the road. symbols: images of the functions, by the names that they use. seen: the last frame, None without a camera or before the first
-    frame. lights: the light that each module of the car can give as it is turned and dimmed, by name. pitch_rad: measured pitch of the body
-    relative to the road, nose down positive, 0 without a sensor. commands: turn and dimming of each module, empty where all are at rest.
-    indicator: as the driver has switched it; `hazard` indicates both sides.
+    the road. symbols: the functions' images by name. seen: the last frame, None without a camera or before the first frame. lights:
+    potential light of each module as turned and dimmed, by name. pitch_rad: measured pitch of the body relative to the road, nose down
+    positive, 0 without a sensor. commands: turn and dimming of each module, empty if all are at rest. indicator: as the driver has switched
+    it; `hazard` indicates both sides.
     """
 
     time_s: float
@@ -184,7 +184,7 @@ class LightingFunction(Protocol):
 
 @runtime_checkable
 class AdaptiveFunction(Protocol):
-    """A lighting function that closes a loop over camera frames. Its state is a value, so that a run can be resumed at any step."""
+    """A lighting function that closes a loop over camera frames. Its state is a value, so a run can resume at any step."""
 
     def start(self) -> Any:
         """The state before the first frame."""
@@ -217,12 +217,12 @@ class ScheduleParams(Params):
         return self
 
     def active(self, now: Situation) -> bool:
-        """Whether it is now."""
+        """Whether the function is active now."""
         begun = self.start_s is None or now.time_s >= self.start_s
         return begun and (self.stop_s is None or now.time_s < self.stop_s) and not self.waits(now)
 
     def waits(self, now: Situation) -> bool:
-        """Whether the indicator does not show its side."""
+        """Whether it waits for the indicator of its side."""
         return self.indicated is not None and not now.indicates(self.indicated)
 
 

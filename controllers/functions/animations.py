@@ -64,7 +64,7 @@ AnimationParams = Annotated[BlinkingParams | RunningLightParams | WipeParams, Fi
 
 
 def animate(source: SymbolSource, animation: BlinkingParams | RunningLightParams | WipeParams | None, time_s: float) -> Tensor | None:
-    """The image `[h, w]` in 0..1 of a symbol at a time; None while a blinking one is off, so that what lies below it is seen.
+    """The image `[h, w]` in 0..1 of a symbol at a time; None while a blinking symbol is off, so that lower layers are visible.
 
     A homogeneous symbol gets enough rows and columns for a brightness that changes over the position.
     """

@@ -1,4 +1,4 @@
-"""What lies below and above the lighting functions: base beam (T 3.4), raw frames (T 4.1) and painted pixels (T 4.2.2)."""
+"""Layers below and above the lighting functions: base beam (T 3.4), raw frames (T 4.1) and painted pixels (T 4.2.2)."""
 
 import base64
 import binascii
@@ -44,7 +44,7 @@ class BaseBeam:
 
 
 class BaseBeamParams(Params):
-    """The light on which all functions are drawn."""
+    """The base beam below all functions."""
 
     beam: Literal[BeamName, "auto"] = Field("off", description="beam of the lamps; `auto` chooses by speed, wetness and street lighting")
     bend_deg: float = Field(0.0, ge=-20, le=20, description="digital turn to the left")
@@ -118,7 +118,7 @@ class PaintedParams(Params):
     @field_validator("png")
     @classmethod
     def _is_one(cls, text: str) -> str:
-        """Checked here, so that the key is named; decoded once."""
+        """Validate the picture here so that the error names the key; decoded once."""
         try:
             _pictures(text)
         except LuxloopError as error:
@@ -127,19 +127,19 @@ class PaintedParams(Params):
 
     @classmethod
     def of(cls, module: str, value: Picture, painted: Picture, over: bool) -> Self:
-        """The same from pictures: value, 255 for full utilisation; painted, 255 where it holds."""
+        """A layer from pictures: value, 255 for full utilisation; painted, 255 where the layer covers."""
         file = cv2.imencode(".png", np.dstack([value, value, value, painted]), (cv2.IMWRITE_PNG_COMPRESSION, 1))[1]
         return cls(module=module, png=base64.b64encode(file.tobytes()).decode(), over=over)
 
     @property
     def pictures(self) -> tuple[Picture, Picture]:
-        """Value, 255 for full utilisation, and painted, 255 where it holds."""
+        """Pictures of the value, 255 for full utilisation, and of the cover, 255 where painted."""
         return _pictures(self.png)
 
 
 @dataclass(frozen=True, eq=False)
 class PaintLayer:
-    """A painted layer. value: `[n_p]` in 0..1. cover: `[n_p]`, the share in which it hides what is below. size: rows and columns."""
+    """A painted layer. value: `[n_p]` in 0..1. cover: `[n_p]`, its opacity. size: rows and columns."""
 
     value: Tensor
     cover: Tensor
@@ -153,7 +153,9 @@ class PaintLayer:
         return cls(value, cover, params.over, (rows, columns))
 
     def on(self, light: Utilisation) -> Utilisation:
-        """The light of a module under the layer: `cover * value + (1 - cover) * u`, `[..., n_p]`; without u where it is not over it."""
+        """The light of a module under the layer: `cover * value + (1 - cover) * u`, `[..., n_p]`; without u for a layer that replaces
+        it.
+        """
         given, cover = (self.cover * self.value).to(light.u), self.cover.to(light.u)
         lit = given.nonzero()
         band = slice(int(lit[0]), int(lit[-1]) + 1) if len(lit) else slice(0, 0)
@@ -163,7 +165,7 @@ class PaintLayer:
 
 
 def paint_layers(params: Sequence[PaintedParams]) -> Mapping[str, PaintLayer]:
-    """The layers by module. Raises LuxloopError for two of one."""
+    """The layers by module. Raises LuxloopError for two layers of one module."""
     layers = dict[str, PaintLayer]()
     for k, each in enumerate(params):
         if each.module in layers:
@@ -173,7 +175,7 @@ def paint_layers(params: Sequence[PaintedParams]) -> Mapping[str, PaintLayer]:
 
 
 def _both(one: slice, other: slice) -> slice:
-    """The least range that has both."""
+    """The smallest range that contains both."""
     there = [each for each in (one, other) if each.stop > each.start]
     return slice(min(each.start for each in there), max(each.stop for each in there)) if there else slice(0, 0)
 

@@ -88,7 +88,7 @@ class TurningParams(CommandParams):
         given = []
         for name, command in super().command(before, now, modules).commands:
             low, high = ranges[name]
-            wanted = min(max(getattr(command, self.movement), low), high)  # before the rate, or a motor at its end would wind up
+            wanted = min(max(getattr(command, self.movement), low), high)  # before the rate limit, or a motor at its end would wind up
             begins = getattr(was[name], self.movement) if name in was else wanted
             given.append((name, ModuleCommand(**{self.movement: min(max(wanted, begins - far), begins + far)})))
         return FunctionCommands(now.time_s, tuple(given))
@@ -160,7 +160,7 @@ class DimmingParams(CommandParams):
 
 
 class DirectParams(ScheduleParams):
-    """Commands modules directly, without a motor's rate: another program can set it anew in each step."""
+    """Commands modules directly, without a motor's rate, for example from another program in each step."""
 
     kind: Literal["command"] = "command"
     modules: tuple[str, ...] = Field((), description="lamps or modules that it commands; left out: all")
@@ -179,7 +179,7 @@ class DirectParams(ScheduleParams):
 
     @property
     def module_command(self) -> ModuleCommand:
-        """While it is active."""
+        """The command while the function is active."""
         return ModuleCommand(self.swivel_deg, self.level_deg, self.intensity)
 
     def moves(self, module: Movable) -> bool:

@@ -1,7 +1,7 @@
 """Material-based lighting: each material that the camera identifies gets its own light (T 9.2, fig. 9.4).
 
-The material image becomes an image of wanted illuminance. Rectangles at tracked objects and on the road carry it, and each lamp ray that
-hits one of them reads the setpoint at the camera pixel that sees the hit.
+The material image becomes an image of target illuminance, carried by rectangles at tracked objects and on the road. Each lamp ray that hits
+one of them takes the setpoint of the camera pixel that sees the hit.
 """
 
 import math
@@ -137,7 +137,9 @@ class MaterialParams(SelectionParams):
         return on_road(now.T_world_vehicle.double(), corner, across, back)
 
     def _draw(self, place: Place, lx: Tensor, view: View) -> Primitives:
-        """A primitive at a place that shows the camera's image along its rays; transparent outside it and where no light is wanted."""
+        """A primitive at a place that shows the camera's image along the camera's rays; transparent outside the image and where no light is
+        wanted.
+        """
         wanted = ~lx.isnan()
         wanted[[0, -1]], wanted[:, [0, -1]] = False, False
         most = float(lx[wanted].max()) if bool(wanted.any()) else 0.0

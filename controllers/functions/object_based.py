@@ -1,4 +1,4 @@
-"""Object-based lighting: the road stays nearly dark, and each object gets as much light as a detector benefits from (T 9.3)."""
+"""Object-based lighting: a nearly dark road, and for each object as much light as its detection benefits from (T 9.3)."""
 
 import math
 from collections.abc import Mapping
@@ -19,10 +19,10 @@ from luxloop.world.params import Distance, NotNegative, Params, Share
 from luxloop.world.traffic.tracked import ROAD_USERS, Category
 
 NEAREST_M = 1.0  # objects nearer to a lamp are not lit; no lamp's light falls on heads there
-TEXEL_RAD = 1e-3  # of a light texture, which interpolates light between texels
+TEXEL_RAD = 1e-3  # texel width, over which light is interpolated
 SURE = 0.7  # confidence below which any object may be a person
 CELLS = 16  # texels per stripe
-CORE_M = 0.3  # width of an object's core, in its middle, that hides all light behind it
+CORE_M = 0.3  # width of an object's opaque core, in its middle
 Pattern = Literal["homogeneous", "stripes", "checks"]
 
 
@@ -186,7 +186,7 @@ class ObjectBasedParams(SelectionParams):
     def step(self, state: ObjectBasedState, now: Situation) -> ObjectBasedState:
         """The state after one more frame; objects that the tracker no longer reports are dropped.
 
-        A new object at the place of a lost one is taken for it and continues its loop.
+        A new object at the place of a lost one continues its loop.
         """
         if self.method != "confidence":
             return state

@@ -33,7 +33,7 @@ class Next:
 
 
 class LowerParams(Params):
-    """Starts bright, then bisects downwards as long as the confidence stays."""
+    """Starts bright, then bisects downwards while the confidence stays."""
 
     kind: Literal["lower"] = "lower"
     bright_lx: Positive = Field(20.0, description="first illuminance on a new object; it gives the confidence in full light")
@@ -59,7 +59,7 @@ class LowerParams(Params):
         return self.least_lx, self.bright_lx
 
     def next(self, trials: Sequence[Trial], bounds_lx: tuple[float, float]) -> Next:
-        """The logarithmic middle between the least illuminance that keeps the confidence and the greatest below it that does not."""
+        """The geometric mean of the least illuminance that keeps the confidence and the greatest below it that does not."""
         least, most = bounds_lx
         if all(trial.lx < most for trial in trials):
             return Next(most, False)
@@ -95,7 +95,7 @@ class RaiseParams(Params):
         return self.first_lx, self.most_lx
 
     def next(self, trials: Sequence[Trial], bounds_lx: tuple[float, float]) -> Next:
-        """The illuminance one factor higher, or that of the best step."""
+        """The illuminance one step higher, or that of the best step."""
         least, most = bounds_lx
         if not trials:
             return Next(least, False)
@@ -110,7 +110,7 @@ class RaiseParams(Params):
 
 
 def means(trials: Sequence[Trial]) -> dict[float, float]:
-    """Mean confidence by illuminance in lx, over all trials of it."""
+    """Mean confidence over all trials, by illuminance in lx."""
     ordered = sorted(trials, key=lambda trial: trial.lx)
     groups = ((lx, [trial.confidence for trial in group]) for lx, group in groupby(ordered, key=lambda trial: trial.lx))
     return {lx: sum(found) / len(found) for lx, found in groups}
@@ -124,8 +124,8 @@ FOLLOWING = 0.2  # weight of a new mean in the expected confidence of a settled 
 class ObjectLoop:
     """State of the loop. lx: setpoint. bounds_lx: of the search. category, height_rad: class and apparent height when the search began.
 
-    scores: confidences of frames in this light that are not averaged yet, 0 where the object was not detected. trials: of the search.
-    expected: expected confidence, once settled. recent: weighted mean of the latest scores. peak: highest mean in any light.
+    scores: confidences in this light not averaged yet, 0 without detection. trials: of the search. expected: expected confidence, once
+    settled. recent: weighted mean of the latest scores. peak: highest mean in any light.
     """
 
     lx: float
@@ -176,7 +176,7 @@ class ObjectLoopParams(Params):
         return loop.settled and (loop.lx >= most or (loop.bounds_lx[1] >= most and loop.recent > loop.expected - self.drop))
 
     def step(self, loop: ObjectLoop, each: TrackedObject, height_rad: float) -> ObjectLoop:
-        """The state after one more frame of the object in the light that the loop demanded."""
+        """The state after one more frame of the object in the commanded light."""
         score = _found(each)
         loop = replace(loop, recent=loop.recent + RECENT * (score - loop.recent), scores=(*loop.scores, score))
         if len(loop.scores) < (self.watch_frames if loop.settled else self.frames):
@@ -235,9 +235,8 @@ class AmbientLoopParams(Params):
         return confidence >= self.doubtful + self.margin
 
     def step(self, ambient: Ambient, confidences: Collection[float], exhausted: Collection[float]) -> Ambient:
-        """The state after one more frame. confidences: current ones of all objects in view that have ever been detected surely.
-
-        exhausted: the confidences of those among them for which more light of their own does not help; the base beam rises for these only.
+        """The state after one more frame. confidences: of all objects in view that were ever detected with certainty. exhausted:
+        confidences of those objects that gain nothing from more light of their own; the base beam rises for these only.
         """
         rested = ambient.rested + 1
         if min(exhausted, default=1.0) < self.doubtful and ambient.share < 1 and rested >= (self.patience if ambient.risen else 1):

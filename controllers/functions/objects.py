@@ -27,8 +27,8 @@ from luxloop.perception.tracking import LINGER_S
 from luxloop.world.frames import inverse, transform
 from luxloop.world.params import Distance, Length, NotNegative, Params, PositiveShare, Share
 
-FADING = 1e6  # weight of a fading mask: above all others but the infinite weight of full masks, with which it must not be averaged
-CLEARANCE = 0.8  # share of the gap between a box and a nearby lamp that a margin may take
+FADING = 1e6  # weight of a fading mask: above all finite weights; full masks have infinite weight and are not averaged with it
+CLEARANCE = 0.8  # largest share of the gap between box and lamp for a margin
 
 
 class SoftZoneParams(Params):
@@ -84,7 +84,7 @@ def extend_box(each: TrackedObject, margin_m: float, lamps: Tensor) -> tuple[Ten
     """Two opposite corners `[3]` m, in the object's frame, of its box with a margin on all sides but the foot: the road below stays lit.
 
     lamps: positions `[L, 3]` m. A box around a lamp would show it only back faces, which mask nothing, so the margin ends before the lamp,
-    on the side where the lamp is farthest from the box.
+    on the side of the greatest distance.
     """
     low, high = each.bounds
     margins_low, margins_high = torch.tensor([[margin_m, margin_m, 0.0], [margin_m] * 3], dtype=torch.float64)

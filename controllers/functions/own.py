@@ -19,7 +19,7 @@ SHARE = QUANTITIES.index("u_abs")
 
 
 class OwnFunction(plugin.OwnPart):
-    """`Name(**options)` of a user's module makes the function."""
+    """A user-defined function: `Name(**options)`."""
 
 
 def own_function(params: OwnFunction) -> LightingFunction | AdaptiveFunction:
@@ -42,7 +42,7 @@ class CheckedFunction:
     own: plugin.Guard
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        """Raises LuxloopError where it fails, or gives something else."""
+        """Raises LuxloopError where it fails or returns no primitives."""
         return check_primitives(self.own.primitives(now), self.own, "primitives")
 
 
@@ -61,7 +61,7 @@ class CheckedAdaptive:
         return self.own.step(state, now)
 
     def adapted(self, state: Any, now: Situation) -> tuple[Primitives, ...]:
-        """Raises LuxloopError where it fails, or gives something else."""
+        """Raises LuxloopError where it fails or returns no primitives."""
         return check_primitives(self.own.adapted(state, now), self.own, "adapted")
 
     def base_share(self, state: Any) -> float | None:
@@ -75,7 +75,7 @@ class CheckedAdaptive:
 
 
 def own_commands(function: Any) -> Any:
-    """The object that commands modules for a function: `commands` of a user-defined one, if it has that; else the function itself."""
+    """The object that commands modules for a function: `commands` of a user-defined function, if present, else the function itself."""
     own = getattr(function, "own", None)
     if not isinstance(own, plugin.Guard):
         return function
@@ -89,7 +89,7 @@ class OwnCommands:
     own: plugin.Guard
 
     def command(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
-        """Raises LuxloopError where it fails, gives something else, or commands what is not there."""
+        """Raises LuxloopError where it fails, returns no commands, or names unknown modules."""
         given = self.own.commands(now)
         if not isinstance(given, Mapping) or not all(isinstance(name, str) and _possible(each) for name, each in given.items()):
             raise LuxloopError(

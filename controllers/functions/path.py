@@ -17,9 +17,7 @@ from luxloop.controllers.situation import DrawingParams, Situation
 from luxloop.world.params import Length, Metres
 
 HALLEY_STEPS = 6  # from the best sample, Halley's cubic convergence needs three or four
-SAMPLES_PER_DEGREE = (
-    64  # so dense because a curve turns fast near a cusp, where the closest point may lie between two samples that are not the closest
-)
+SAMPLES_PER_DEGREE = 64  # dense, since near a cusp the closest point may lie between two samples that are not the closest
 INTERVALS, NODES = 32, 8  # of the arc length's quadrature: error about 1e-9 of the length for curves without a cusp
 
 
@@ -49,8 +47,8 @@ def length_at(control: Tensor, t: Tensor) -> Tensor:
 def closest(control: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
     """Parameter and distance, both `[..., N]`, of the curve's point that is closest to each of `points` `[..., N, D]` (T eq. B.2.3, B.2.4).
 
-    Halley's steps start at the best of several samples, both ends included, and stay between its neighbours, since free steps may run to a
-    maximum. The better of result and sample is returned.
+    Halley's method starts at the best of several samples, both ends included, and stays between its neighbours, since it may otherwise run
+    to a maximum. The better of result and sample is returned.
     """
     n = control.shape[-2] - 1
     samples = torch.linspace(0, 1, SAMPLES_PER_DEGREE * max(n, 1) + 1).to(control)
@@ -146,7 +144,7 @@ class Drawing:
     """
 
     def __init__(self, control: Tensor, reach_m: float, texel_m: float) -> None:
-        """All texels that are closer than reach_m to the curve; control: `[n + 1, 2]` m, x ahead and y left."""
+        """All texels closer than reach_m to the curve; control: `[n + 1, 2]` m, x ahead and y left."""
         curve = point(control, torch.linspace(0, 1, 257).to(control))
         margin = reach_m + 2 * texel_m
         low, high = curve.amin(0) - margin, curve.amax(0) + margin
@@ -155,7 +153,7 @@ class Drawing:
         x = low[0] + (rows - 0.5 - torch.arange(rows).to(control)) * texel_m  # row 0 is farthest ahead
         y = low[1] + (cols - 0.5 - torch.arange(cols).to(control)) * texel_m  # column 0 is farthest to the left
         texels = torch.stack([x[:, None].expand(shape), y.expand(shape)], -1)
-        # A thick stroke finds the few texels that are near: a search for the closest point of every texel would take most of the time.
+        # A thick stroke selects the few near texels; a search for every texel would take most of the time.
         stroke = ((curve - low) / texel_m).flip(-1).round().int().numpy()
         painted = cv2.polylines(np.zeros(shape, np.uint8), [stroke], False, 1, thickness=2 * math.ceil(margin / texel_m) + 1)
         near = torch.from_numpy(np.asarray(painted, bool)).flip(0, 1)
@@ -181,8 +179,7 @@ class Drawing:
         return on_road(T_world_vehicle, corner, corner.new_tensor([0.0, -width]), corner.new_tensor([-length, 0.0]))
 
     def band(self, half_width_m: float, offset_m: float | None = None) -> Tensor:
-        """A band `[h, w]` in 0..1 along the curve, with round ends; with offset_m, its centre line lies so far to the left and its ends are
-        straight.
+        """A band `[h, w]` in 0..1 along the curve, with round ends. offset_m: of its centre line to the left; its ends are then straight.
 
         The edges are soft over one texel.
         """
@@ -207,7 +204,7 @@ STRAIGHT_1_M = 1e-5  # a curve of less curvature leaves its tangent by 2 cm in 6
 
 
 class Stretch(DrawingParams):
-    """A drawing on the road between two distances."""
+    """A drawing on the road between two distances ahead."""
 
     near_m: Metres = Field()
     far_m: Metres = Field()

@@ -99,7 +99,7 @@ class LightingParams(Params):
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What the lamps show at one time. primitives: None if no function draws, so that the base beam alone is shown. painted: by module."""
+    """The light of the lamps at one time. primitives: None if no function draws, for the base beam alone. painted: layers by module."""
 
     time_s: float
     base: BaseBeam
@@ -148,7 +148,7 @@ class Planner:
 
     @cached_property
     def adaptive(self) -> Mapping[str, AdaptiveFunction]:
-        """The functions with a state that depends on what is seen, by name."""
+        """The functions whose state depends on camera frames, by name."""
         return {name: each for name, each in self.functions.items() if isinstance(each, AdaptiveFunction)}
 
     @cached_property
@@ -157,7 +157,7 @@ class Planner:
         return paint_layers(self.lighting.painted)
 
     def paint(self, module: str, light: Utilisation) -> Utilisation:
-        """The light of a module with what is painted."""
+        """The light of a module under its painted layer."""
         return self.painted[module].on(light) if module in self.painted else light
 
     @cached_property
@@ -203,7 +203,7 @@ class Planner:
         return found
 
     def plan(self, now: Situation, states: States | None = None) -> Plan:
-        """Compose what all functions draw into a plan. states: of the adaptive functions, by default those of `start`."""
+        """Compose the primitives of all functions into a plan. states: of the adaptive functions, by default those of `start`."""
         states = self.start() if states is None else states
         return self.compose(now, states, self.draw(now, states))
 

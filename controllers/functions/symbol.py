@@ -40,7 +40,7 @@ class ConditionParams(SelectionParams):
 
 
 class ObserverParams(Params):
-    """An observer who sees the symbol as an upright picture that faces them."""
+    """The observer for whom the symbol looks like an upright picture facing them."""
 
     eye_m: tuple[Metres, Metres, Metres] = Field(
         DRIVER_M, description="eye position in the vehicle frame (x forward, y left, z up); by default the driver's"
@@ -174,7 +174,7 @@ def _world(now: Situation, point_m: tuple[float, float, float]) -> Tensor:
 class PrimitiveParams(DrawingParams):
     """Draws a rectangle at any place and in any attitude.
 
-    Its own frame is x along its length, to the image's first row, y to the left across its width, and z out of the side that takes light.
+    Its frame: x along its length towards the image's first row, y to the left across its width, z out of the lit side.
     """
 
     kind: Literal["primitive"] = "primitive"

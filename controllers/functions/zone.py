@@ -1,8 +1,8 @@
-"""Zones: places that are controlled to a wanted luminance, whatever they are made of (T 9.3, fig. 9.6).
+"""Zones: places controlled to a target luminance, independent of their reflectance (T 9.3, fig. 9.6).
 
-The camera measures a zone's luminance and a PID sets its illuminance. The zone's reflectance is unknown, but it is a factor between the two
-and hence an offset between their logarithms. So the loop has the same gain on black cloth as on paint. The loop's output is its own
-integrator, limited to what the lamps can give, so it does not wind up.
+The camera measures a zone's luminance and a PID sets its illuminance. The unknown reflectance is a factor between the two, hence an offset
+between their logarithms, so the loop gain is the same on black cloth as on paint. The loop's output is its own integrator, limited to the
+lamps' range, so it does not wind up.
 """
 
 import math
@@ -38,7 +38,7 @@ def box_region(view: View, T_world_box: Tensor, low: Tensor, high: Tensor) -> Te
 
 
 DARKEST = 0.01  # of the target: least measured luminance, so that the logarithm stays finite
-CLIPPED = 0.5  # share of saturated pixels from which on the mean is only a lower bound of the zone's luminance
+CLIPPED = 0.5  # share of saturated pixels above which the mean is only a lower bound of the zone's luminance
 LIMIT_POINTS = 5  # along each side of a zone, at which the lamps' largest illuminance is computed
 
 
@@ -56,7 +56,7 @@ class ZoneState:
 
 
 class ZoneParams(Params):
-    """A place in the world that is lit so that the camera measures the wanted luminance there."""
+    """A place in the world, lit so that the camera measures the target luminance there."""
 
     kind: Literal["zone"] = "zone"
     centre_m: tuple[Metres, Metres, Metres] = Field(

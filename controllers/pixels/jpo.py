@@ -1,4 +1,4 @@
-"""Joint pixel optimisation (JPO, T 3.5.2, 8.4): the utilisations of all pixels together that come closest to the wanted light.
+"""Joint pixel optimisation (JPO, T 3.5.2, 8.4): the utilisations of all pixels that together come closest to the target intensities.
 
 `Jpo` minimises absolute deviations (`luxloop.controllers.pixels.jpo_solvers`) or squares (`luxloop.controllers.pixels.jpo_solvers`) with a
 budget of iterations per step, starts from SSC, and has the protocol of all pixel controllers.

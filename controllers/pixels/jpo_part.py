@@ -1,4 +1,4 @@
-"""The part of a joint optimisation that is not decided beforehand: some pixels and the texels that they light.
+"""Reduction of a joint optimisation to its undecided pixels and the texels that they light.
 
 Luminous intensities are not negative. So the error of a texel with setpoint zero is its light, linear in every utilisation, and the light
 of fixed pixels is subtracted from setpoints. A pixel that lights no texel with a positive setpoint can only increase the error and is off
@@ -14,7 +14,7 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
 from luxloop.world.spmv import Csr, multiply, row_of_entries
 
-HARD = 1_000.0  # limit of weights of positive setpoints, infinite ones too: a lamp can be forced to be dark but not to give light
+HARD = 1_000.0  # limit of weights of positive setpoints, even infinite ones: a lamp can be forced to be dark, but not to give light
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ def pixel_goal(
 
     weight: `[..., rows, cols]`, 0 to infinity, by default 1, limited to HARD. start: `[..., n_p]`, by default that of SSC with a_m = a_r =
     1. free: `[..., n_p]` bool, by default all. Pixels that reach a dark texel of infinite weight are off and not free. Raises LuxloopError
-    for a texture or weight that has not the headlight's size, or a start that has not its number of pixels.
+    for a texture, weight or start of another size than the headlight's.
     """
     size = (headlight.rows, headlight.cols)
     for name, given in (("wanted light texture", texture), ("weight of a wanted light texture", weight)):

@@ -1,7 +1,7 @@
-"""Light wanted on a plane, and the utilisations of all pixels of all modules together that come closest to it (T 4.2.2).
+"""Target illuminance on a plane, and the utilisations of all modules that together come closest to it (T 4.2.2).
 
-The plane is z = 0 of its own frame, whose z axis points to the side of the lamps: the road, or a wall. A cell of it has the mean
-illuminance of the texels whose rays hit it, by area; one that few rays hit, or only in part, has that of 3 x 3 points.
+The plane is z = 0 of its own frame, whose z axis points to the side of the lamps: the road, or a wall. A cell's illuminance is the mean of
+the texels whose rays hit it, weighted by area, or of 3 x 3 points if few rays hit it or cover only a part.
 """
 
 from collections.abc import Sequence
@@ -21,14 +21,14 @@ from luxloop.world.spmv import Csr, multiply
 from luxloop.world.texels import TexelGrid, bilinear
 
 ITERATIONS = 150
-KEPT = 0.1  # weight of cells where nothing is wanted, which shall stay as they are; 1 where something is
-MUCH = 0.5  # share of the brightest pixel's intensity towards a point that others need to be named beside it
-FEW = 64  # texels of a cell, whose mean is not that of its area yet
-WHOLE = 0.8  # share of a cell's area that its texels cover; of less the mean is not that of the cell, as at the border of the field
-POINTS = 3  # of a cell that has few, along x and y
-NEAREST_M = 0.01  # to a lamp, where cells lie below it
-THERE = 0.3  # share of a pixel's largest intensity that it must have towards a point, to be named: else it lights another place
-OWN = 0.1  # share of a pixel's largest intensity that it must have where light is wanted, to be chosen for that
+KEPT = 0.1  # weight of cells without a target, which keep their light; 1 with a target
+MUCH = 0.5  # least share of the brightest pixel's intensity towards a point for a pixel to be listed
+FEW = 64  # texels of a cell below which 3 x 3 points are used
+WHOLE = 0.8  # share of a cell's area covered by texels below which 3 x 3 points are used, as at the border of the field
+POINTS = 3  # sample points along x and y of a cell with few texels
+NEAREST_M = 0.01  # least distance of cells to a lamp
+THERE = 0.3  # least share of a pixel's own peak intensity towards a point for it to be listed
+OWN = 0.1  # least share of a pixel's own peak intensity in cells with a target for it to be chosen
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Raster:
 
 @dataclass(frozen=True, eq=False)
 class PlaneLight:
-    """The answer to a wish. u: `[n_p]` of each module. chosen: `[n_p]` bool of each, the pixels that were chosen for it. lx: `[cells]`."""
+    """The fitted light. u: `[n_p]` of each module. chosen: `[n_p]` bool of each, the fitted pixels. lx: `[cells]`."""
 
     u: tuple[Tensor, ...]
     chosen: tuple[Tensor, ...]
@@ -72,9 +72,8 @@ def fit_plane(
 ) -> PlaneLight:
     """Utilisations with the least squared error of the illuminance of the cells, in 255 steps.
 
-    lamps: each module with its pose `[4, 4]` in the frame of the plane and its utilisation now `[n_p]`, which pixels keep that light
-    nothing of the cells where something is wanted. wanted_lx, where: `[cells]`, lx and bool.
-    Raises LuxloopError where no pixel lights these.
+    lamps: each module with its pose `[4, 4]` in the frame of the plane and its present utilisation `[n_p]`, kept by pixels that light no
+    cell with a target. wanted_lx, where: `[cells]`, lx and bool. Raises LuxloopError where no pixel lights these.
     """
     matrices, chosen = [], []
     for light, T_plane_headlight, _ in lamps:
@@ -101,7 +100,7 @@ def fit_plane(
 def lighting(headlight: Headlight, T_world_headlight: Tensor, point: Tensor) -> tuple[Tensor, Tensor]:
     """The pixels that light a point `[3]`, and their luminous intensities in cd towards it.
 
-    These give at least half as much there as the one that gives most, and much of their own largest intensity.
+    They give at least MUCH of the brightest pixel's intensity there, and at least THERE of their own peak.
     """
     x, y, z = transform(inverse(T_world_headlight.double().cpu()), point.double()[:, None])
     texel, weight = bilinear(headlight, *headlight.texel_of(y / x, z / x))
@@ -125,7 +124,7 @@ def _on_plane(grid: TexelGrid, T_plane_headlight: Tensor, raster: Raster) -> sp.
     z, y = (each.flatten() for each in torch.meshgrid(z, y, indexing="ij"))
     ray = T[:3, :3] @ torch.stack([torch.ones_like(y), y, z])  # [3, texels]
     height, long = T[2, 3], ray.norm(dim=0)
-    way = height / -ray[2]  # in rays to the plane
+    way = height / -ray[2]  # ray lengths to the plane
     cell = torch.where((ray[2] < 0) & (height > 0), raster.cells(T[0, 3] + way * ray[0], T[1, 3] + way * ray[1]), -1)
     n_cells = raster.rows * raster.cols
     area = (grid.left - grid.right) * (grid.top - grid.bottom) / grid.n_texels * way**3 / height  # of texels on the plane, m^2

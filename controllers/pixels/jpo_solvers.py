@@ -16,10 +16,10 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
 from luxloop.world.spmv import Csr, multiply, solve
 
-SUBSETS = 8  # of the texels, each spread over the whole texture: more help little, and each costs calls, which small lamps notice
+SUBSETS = 8  # of the texels, each spread over the whole texture; more help little, and the calls slow down small lamps
 PRIMAL_WEIGHT = 0.2  # size of primal against dual steps, in mean utilisations; measured in docs/jpo.md
 NEAR = 0.1  # share of the mean setpoint: texels within it are neither clearly too dark nor too bright
-CHECKED_EVERY = 20  # iterations between checks of the gap, each of which waits for the device
+CHECKED_EVERY = 20  # iterations between checks of the gap, each of which synchronises the device
 
 
 @dataclass(frozen=True)

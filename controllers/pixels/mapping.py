@@ -13,7 +13,7 @@ from luxloop.controllers.pixels.windows import Window
 from luxloop.world.spmv import Csr, multiply, row_of_entries, span_of
 from luxloop.world.texels import TexelGrid
 
-MOST = 0.7  # share of all pixels from which on a part of the matrix costs more than it saves
+MOST = 0.7  # share of all pixels above which a part of the matrix costs more than it saves
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,8 @@ class Sums:
     """Sums of each pixel in a band, `[..., band]` each.
 
     weighted_u, weight: numerator and denominator of T eq. 7.4.5 over rays of finite weight; weight is None if it is 1. forced_u,
-    forced_weight: the same over rays of infinite weight, None if there are none. lit: number of lit setpoints. ruled_from: a weight from
-    here on stands for an infinite one of a zero setpoint; None if infinite weights are summed separately.
+    forced_weight: the same over rays of infinite weight, None if there are none. lit: number of lit setpoints. ruled_from: weights from
+    here on stand for an infinite weight of a zero setpoint; None if infinite weights are summed separately.
     """
 
     weighted_u: Tensor
@@ -72,7 +72,7 @@ class Band:
 
 
 RULING = 1e36  # stands for an infinite weight of a zero setpoint; no sum of finite weights comes near it
-RULED = 2 * HEAVIEST  # sums from here on contain an infinite weight; no sum of finite weights is rounded up to it
+RULED = 2 * HEAVIEST  # sums from here on contain an infinite weight; sums of finite weights are smaller
 
 
 Image = Tensor | float  # a number holds for all rays
@@ -203,7 +203,7 @@ def _utilisation(piece: _Piece, pixels: PixelMajor) -> Image:
 
 
 def _times(a: Image, b: Image) -> Image:
-    """The product; a factor of 1 costs no pass over the image."""
+    """a * b; a factor of 1 costs no pass over the image."""
     if isinstance(b, float) and b in (0.0, 1.0):
         return a if b else 0.0
     return a * b

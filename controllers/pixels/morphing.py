@@ -1,4 +1,4 @@
-"""Digital movement of a beam: its light texture on a screen before the lamp, drawn again by SSC (T 7.3.2)."""
+"""Digital movement of a beam: SSC redraws its light texture from a moved screen before the lamp (T 7.3.2)."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,7 +13,7 @@ from luxloop.world.frames import pose, rotation
 from luxloop.world.headlight import Headlight
 
 SCREEN_M = 25.0  # the usual distance of measuring screens; for rotations about the lamp it has no influence
-STRAIGHT = MrpcParams(a_d=1.0)  # edge darkening, since a moved hot spot would light the border of the field (T fig. 7.18)
+STRAIGHT = MrpcParams(a_d=1.0)  # edge darkening, since otherwise a moved hot spot would light the border of the field (T fig. 7.18)
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """MapReduce pixel control (T 7.4): from ray setpoints to pixel utilisations, exact on every entry of the headlight matrix.
 
-Where a setpoint is the same utilisation for all pixels of a texel, the sums of T eq. 7.4.5 are products of the pixel-major matrix with
-images on the texture; otherwise they run over the entries. Finite and infinite weights are summed separately, so that 0 inf and inf / inf
-never arise.
+If a setpoint is the same utilisation for all pixels of a texel, the sums of T eq. 7.4.5 are products of the pixel-major matrix with images
+on the texture; otherwise they run over the entries. Finite and infinite weights are summed separately, so that 0 inf and inf / inf never
+arise.
 """
 
 from dataclasses import replace
@@ -18,11 +18,11 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
 from luxloop.world.spmv import multiply, row_of_entries
 
-FAINT = 1e-6  # share of a wanted setpoint that a correction leaves at least, so that a lit setpoint stays lit
+FAINT = 1e-6  # least share of a setpoint after a correction, so that a lit setpoint stays lit
 
 
 def correct(asked: Setpoints, wanted: Setpoints, u: Tensor, pixels: PixelMajor, default: Tensor) -> Setpoints:
-    """The setpoints that led to u `[..., n_p]`, plus the error of its light against the wanted ones; not from the thesis.
+    """The setpoints of the last pass, plus the error of the resulting light of u `[..., n_p]` against the wanted ones; not from the thesis.
 
     Van Cittert's deconvolution with MRPC in place of the blur's inverse: the error is of all pixels together, and MRPC again decides pixel
     by pixel. Dark, lit and missed setpoints stay so. default: `[n_p]`. Costs one product with the matrix.
@@ -132,7 +132,7 @@ def _reduce(sums: Sums, pixels: PixelMajor, params: MrpcParams, default: Tensor,
     """
     u, idle = sums.weighted_u, None if pixels.idle is None else pixels.idle[band]
     if sums.weight is not None:
-        u = u / sums.weight.clamp(min=torch.finfo(u.dtype).tiny)  # T eq. 7.4.5: weighted mean of what rays ask; tiny prevents 0 / 0
+        u = u / sums.weight.clamp(min=torch.finfo(u.dtype).tiny)  # T eq. 7.4.5: weighted mean of the ray setpoints; tiny prevents 0 / 0
         idle = None if dark and sums.lit is None else sums.weight == 0
     if idle is not None:
         u = u + default * idle  # all weights vanish: the pixel keeps its default
@@ -152,7 +152,7 @@ def limit_power(u: Tensor, power: Tensor | float, limit: float | Tensor) -> tupl
     """Dim all pixels by one factor so that a lamp keeps its power limit (T 7.4.1).
 
     u: `[..., n_p]`, utilisations of all of the lamp's modules in turn. power: of each pixel at full utilisation, `[n_p]` or one value, in
-    the unit of limit. Returns the utilisation and the factor `[...]`, 1 where the limit is kept anyway. Raises LuxloopError for a limit
+    the unit of limit. Returns the utilisation and the factor `[...]`, 1 if the power is within the limit. Raises LuxloopError for a limit
     below zero.
     """
     if not isinstance(limit, Tensor) and limit < 0:

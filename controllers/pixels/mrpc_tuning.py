@@ -31,12 +31,12 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "granularity": (0.0, 4.0),
     "sharpening": (0.0, 4.0),
 }
-POPULATION, GENERATIONS, REFINEMENTS = 10, 40, 80  # individuals a parameter; evaluations of the closing local search
+POPULATION, GENERATIONS, REFINEMENTS = 10, 40, 80  # individuals a parameter, generations, evaluations of the final local search
 
 
 @dataclass(frozen=True)
 class Part:
-    """The part of a headlight that can give a wanted light texture; neither MRPC nor a joint optimisation of the MAE lights other pixels.
+    """The part of a headlight that can give a wanted light texture; MRPC and joint optimisation of the MAE light no other pixels.
 
     headlight: those pixels in one row, on the rows and columns of the texture that they reach. wanted: `[rows, cols]` cd there. pixels:
     `[n]` int64, their indices in the whole headlight. window: slices of rows and columns of its texture. spread: standard deviation in

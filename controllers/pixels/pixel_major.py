@@ -1,4 +1,4 @@
-"""Pixel-major tables of a headlight for MRPC: all that does not depend on the setpoints, computed once (T 7.4)."""
+"""Pixel-major tables of a headlight for MRPC: all that is independent of setpoints (T 7.4)."""
 
 import math
 from collections.abc import Callable
@@ -54,7 +54,7 @@ class MrpcParams(Params):
         return self
 
 
-LEAST = 1e-16  # of a pixel's greatest I_m^a_r: smaller weights vanish in sums, but a mask must act wherever there is any light
+LEAST = 1e-16  # of a pixel's greatest I_m^a_r: least weight that sums can resolve, since a mask must act on any light
 Reduce = Callable[[Tensor, str], Tensor]  # values `[nnz]` of entries, not below zero, and sum or amax
 
 
@@ -62,14 +62,14 @@ Reduce = Callable[[Tensor, str], Tensor]  # values `[nnz]` of entries, not below
 class PixelMajor:
     """Tables of a headlight for MRPC, pixel-major.
 
-    entries: `[n_p, n_t]`, I_m,ij. full: the same with `I_m^a_r / sum_i I_m^a_r`, rows add up to one. kept: `[nnz]`, weights `I_m^a_r` of
-    entries that are neither excluded nor left out by the sampling, a pixel's adding up to one. weight: `[n_p, n_t]`, those that are not
-    zero. share: `[n_t]`, what takes an intensity to the utilisation of all pixels of its texel; potential: `[nnz]`, the factor by which an
-    entry's differs, None where it is one. total: `[n_t]`, cd with all pixels full. darkening: `[n_t]` (T eq. 7.4.2). least_lit: `[n_p]`,
-    how many of a pixel's setpoints have to be lit for its share to be a_ac. idle: `[n_p]`, pixels without an entry that counts, None if
-    there are none. ones: the pattern of entries. peak: `[n_p]`, greatest I_m,ij. spread: standard deviation of a pixel's light in rows and
-    columns, 0 where unused. pixel_first, pixel_last: `[rows]`, pixels with a texel in that texture row. row_first, row_last: `[n_p]`,
-    texture rows of that pixel.
+    entries: `[n_p, n_t]`, I_m,ij. full: the same with `I_m^a_r / sum_i I_m^a_r`, rows add up to one. kept: `[nnz]`, weights `I_m^a_r`
+    without entries dropped by exclusion or sampling, a pixel's adding up to one. weight: `[n_p, n_t]`, those that are not zero. share:
+    `[n_t]`, factor from intensity to the utilisation of all pixels of the texel; potential: `[nnz]`, the factor by which an entry's
+    differs, None where it is one. total: `[n_t]`, cd with all pixels full. darkening: `[n_t]` (T eq. 7.4.2). least_lit: `[n_p]`, how many
+    of a pixel's setpoints have to be lit for its share to be a_ac. idle: `[n_p]`, pixels without weighted entries, None if there are none.
+    ones: the pattern of entries. peak: `[n_p]`, greatest I_m,ij. spread: standard deviation of a pixel's light in rows and columns, 0 where
+    unused. pixel_first, pixel_last: `[rows]`, pixels with a texel in that texture row. row_first, row_last: `[n_p]`, texture rows of that
+    pixel.
     """
 
     grid: Headlight

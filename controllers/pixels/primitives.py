@@ -13,7 +13,7 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import rotation
 
 Quantity = Literal["I_v", "E_v", "u_abs", "u_rel"]
-QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)  # a quantity's code is its place in here
+QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)  # a quantity's code is its index here
 I_V, E_V, U_ABS, U_REL = range(4)
 Vector = Tensor | Sequence[float]
 HEAVIEST = 1e12  # limit of finite weights, so that their sums stay finite
@@ -43,13 +43,13 @@ class Primitives:
 
     origin: `[..., P, 3]` m in the world, the corner where symbol coordinates are (0, 0). d1: `[..., P, 3]` m, the edge along symbol u. d2:
     `[..., P, 3]` m, the edge along symbol v. normal: `[..., P, 3]`, unit, of the side that takes light. value: `[..., P]`, setpoint at
-    symbol value 1 in cd, lx or as a share. weight: `[..., P]`, 0 to infinity: 0 occludes but does not count, infinity overrides all finite
+    symbol value 1 in cd, lx or as a share. weight: `[..., P]`, 0 to infinity: 0 occludes without counting, infinity overrides all finite
     ones, and finite ones are limited to HEAVIEST. quantity: `[P]` int64, indices in QUANTITIES. forced: `[P]` bool, hit even behind other
     primitives. priority: `[P]` int64, decides between forced hits and between coplanar ones. symbols: images `[h, w]` in 0..1, row 0 at v =
     0, or `[2, h, w]` with opacity; rays pass where it is below 1/2, except in masks. symbol_of: `[P]` int64, indices of images. nearest:
-    `[P]` bool, sample images at the nearest texel instead of bilinearly. modules: names of the modules or lamps that may draw each; none
-    means all. shared: `[P]` bool, all modules that draw give a setpoint in cd or lx together, instead of each the whole. observer: the
-    observers for whom symbols look undistorted, None without any.
+    `[P]` bool, sample images at the nearest texel instead of bilinearly. modules: names of the modules or lamps that may draw each; empty:
+    all. shared: `[P]` bool, the drawing modules share a setpoint in cd or lx instead of each giving the whole. observer: the observers for
+    whom symbols look undistorted, None without any.
     """
 
     origin: Tensor
@@ -118,7 +118,7 @@ class Primitives:
 
 
 def _change(of: Any, change: Callable[[Tensor], Tensor], *names: str) -> Any:
-    """With some tensors changed."""
+    """Apply a function to some tensors."""
     return replace(of, **{name: change(getattr(of, name)) for name in names})
 
 

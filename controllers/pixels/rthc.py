@@ -1,7 +1,7 @@
 """Ray tracing headlight control (RTHC, T 7.3): from primitives to a setpoint for every ray of a light texture.
 
-Primitives are painted in order, each over the rays that it wins from those before it. On the CPU, comparisons and selections cost ten times
-as much as sums, so hits are images of zeros and ones, and painting is blending.
+Primitives are painted in order, each over the rays that it wins from earlier ones. On the CPU, comparisons and selections cost ten times as
+much as sums, so hits are images of zeros and ones, and painting is blending.
 """
 
 import math
@@ -203,7 +203,7 @@ class RayBatch:
         return origin.new_full((*origin.shape[:-2], max(w.row_stop - w.row_start, 0), max(w.col_stop - w.col_start, 0)), filled)
 
     def _parts(self, p: int) -> list[Window]:
-        """The window of the p-th primitive in parts, where these spare enough rays to be worth their operations."""
+        """The window of the p-th primitive, divided into parts if these spare enough rays."""
         window, batched = self.windows[p], self.primitives.origin.ndim > 2
         if batched or self.is_mask[p] is not False or window.texels < LARGE:
             return [window]
@@ -213,7 +213,7 @@ class RayBatch:
         return parts if sum(part.texels for part in parts) < WORTH * window.texels else [window]
 
     def strokes(self, in_parts: bool = False) -> Iterator[Stroke]:
-        """The primitives in painting order; in_parts: a large one may be several strokes, which together hold all rays that hit it."""
+        """Strokes in painting order. in_parts: a large primitive may be several strokes, which together contain all rays that hit it."""
         weight, windows = self.primitives.weight[..., None, None], self.windows  # [..., P, 1, 1]
         finite, forced = weight, torch.zeros_like(weight)
         if not (self.unit and self.finite):
@@ -373,7 +373,7 @@ class RayBatch:
         """Samples `[..., rows, cols]` of the p-th primitive's symbol, and of its opacity if it has one, on it or its observer's flying
         symbol.
 
-        Those of a homogeneous symbol that has no opacity are its one pixel `[1, 1]`.
+        For a homogeneous symbol without opacity: its one pixel `[1, 1]`.
         """
         image, watching = self.primitives.image_of(p), self._sight if self.primitives.has_observer(p) else None
         if image.numel() == 1 and not self.primitives.has_observer(p):
@@ -389,9 +389,8 @@ def expand(new: Tensor | float, hit: Tensor) -> Tensor:
 
 
 def _from_the_front(seen: Homographies) -> list[bool | None]:
-    """Whether the lamp sees the front of each primitive of a single scene; None where it differs by ray.
-
-    It may differ if a given normal is not that of the edges. For masks the centre decides.
+    """Whether the lamp sees the front of each primitive of a single scene; None if it differs by ray. It may differ if the normal is not
+    that of the edges. For masks the centre decides.
     """
     cosine = (seen.normal * seen.n).sum(-1).abs() / seen.n.norm(dim=-1)  # [..., P]
     decided = seen.mask | (cosine > 1 - PARALLEL)

@@ -1,4 +1,4 @@
-"""Which of a pixel's texels are sampled, with which weights: supersampling patterns and simplified pixels (T 3.2, 3.5.1, 8.5)."""
+"""Sampling weights of a pixel's texels: supersampling patterns and simplified pixels (T 3.2, 3.5.1, 8.5)."""
 
 from typing import Literal
 
@@ -13,7 +13,7 @@ from luxloop.world.texels import TexelGrid
 Sampling = Literal["all", "brightest", "centroid", "uniform", "rotated", "n_rooks", "quincunx"]
 
 EXTENT = 0.5  # a pixel's rectangle bounds its texels of at least this share of its maximum
-FAINT = 1e-3  # of the pixel's maximum: light of a rectangular pixel where the real one has none
+FAINT = 1e-3  # share of the pixel's maximum given to texels of its rectangle that the real pixel does not light
 
 # Sample positions within a pixel's rectangle, along columns and rows in 0..1, and weights.
 _TILT = np.arctan(0.5)

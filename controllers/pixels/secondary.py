@@ -20,16 +20,16 @@ from luxloop.world.scene.scene import StreetLamp
 from luxloop.world.scene.triangles import Triangles
 from luxloop.world.texels import TexelGrid
 
-Caster = Callable[[Tensor, Tensor], Tensor]  # (points [3, N], target [3]) -> [N] bool: something lies between them
+Caster = Callable[[Tensor, Tensor], Tensor]  # (points [3, N], target [3]) -> [N] bool: whether the target is occluded
 
-DARKEST = 1e-3  # least share of its maximum that a dimmed module is compensated for: setpoints rise at most 1000-fold
-BIAS_M = 0.02  # surfaces closer to the point count as the one that it lies on
+DARKEST = 1e-3  # least dimming share that is compensated: setpoints rise at most 1000-fold
+BIAS_M = 0.02  # surfaces closer to a point count as its own
 
 
 def scene_caster(triangles: Triangles, T_world_points: Tensor | None = None) -> Caster:
     """A caster of shadow rays through a scene's triangles. T_world_points: `[4, 4]`, pose of the frame of the points, by default the world.
 
-    The road casts none, because primitives lie near it, not on it: one that lies 1 cm below the road would be occluded everywhere.
+    The road casts no shadow, as primitives lie only near it: one 1 cm below the road would be occluded everywhere.
     """
     casting = Triangles(tuple(group for group in triangles.groups if group.placed[0].object_id != 0))
 
@@ -44,9 +44,9 @@ def scene_caster(triangles: Triangles, T_world_points: Tensor | None = None) -> 
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """The light that a module can give; it may belong to another car.
+    """The potential light of a module, of this or another car.
 
-    full: `[rows, cols]` cd, all pixels on, undimmed. T_world_headlight: `[4, 4]`. intensity: share of full that dimming leaves.
+    full: `[rows, cols]` cd, all pixels on, undimmed. T_world_headlight: `[4, 4]`. intensity: dimming share 0..1.
     """
 
     grid: TexelGrid
@@ -85,11 +85,10 @@ class Light:
 
 
 def shares(lights: Sequence[Light], points: Tensor, occluded: Caster | None = None, asked: Tensor | None = None) -> Tensor:
-    """Share of a setpoint that each light takes, `[L, ..., N]`, in proportion to the light that it can give there (T 7.5.1).
+    """Share of a setpoint for each light, `[L, ..., N]`, in proportion to its potential illuminance there (T 7.5.1).
 
-    The shares add up to 1 wherever any light reaches, so light is not doubled; a blocked light takes none, and the others compensate. The
-    lights of two cars that draw one symbol together go into one list. asked: `[..., N]` bool, points for which shadow rays are cast, by
-    default all.
+    The shares add up to 1 wherever any light reaches, so light is not doubled; an occluded light takes none, and the others compensate.
+    Lights of two cars that draw one symbol go into one list. asked: `[..., N]` bool, points for which shadow rays are cast, by default all.
     """
     possible = torch.stack([light.possible(points) for light in lights])
     if occluded is not None:
@@ -99,7 +98,7 @@ def shares(lights: Sequence[Light], points: Tensor, occluded: Caster | None = No
 
 
 def seen_by(points: Tensor, eye: Tensor, occluded: Caster, asked: Tensor | None = None) -> Tensor:
-    """Points that an observer at `[..., 3]` m sees, `[..., N]` bool; elsewhere a symbol need not be drawn (T 7.5.1).
+    """Whether an observer at `[..., 3]` m sees points, `[..., N]` bool; a symbol need not be drawn at others (T 7.5.1).
 
     asked: `[..., N]` bool, points for which rays are cast, by default all; the others count as seen.
     """
@@ -129,7 +128,7 @@ def street_light(
 
 
 def less_street_light(setpoint_cd: Tensor, street_lx: Tensor, points: Tensor, normals: Tensor, position: Tensor) -> Tensor:
-    """Setpoints `[..., N]` in cd less the light of street lamps: a negative offset (T 7.5.1), never below zero.
+    """Setpoints `[..., N]` in cd minus the light of street lamps (T 7.5.1), at least zero.
 
     position: `[3]` m, the lamp whose intensities they are; normals: unit, broadcastable to `[..., 3, N]`.
     """
@@ -145,7 +144,7 @@ class SecondaryRays:
     """Secondary rays of one module from the hits on primitives.
 
     lights: names and lights of all modules of all lamps and cars that draw together. own: index of the module that casts the rays.
-    street_lamps: lamps whose light is subtracted. occluded: caster that tells what blocks secondary rays; None: nothing does.
+    street_lamps: lamps whose light is subtracted. occluded: caster of secondary rays; None: no occlusion.
     """
 
     lights: tuple[tuple[str, Light], ...]
@@ -154,7 +153,7 @@ class SecondaryRays:
     occluded: Caster | None = None
 
     def ask(self, primitives: Primitives, p: int) -> bool:
-        """Whether secondary rays may change the p-th primitive's setpoint; they leave utilisations as they are, except for observers."""
+        """Whether secondary rays may change the p-th primitive's setpoint; utilisations change for observers only."""
         in_light = int(primitives.quantity[p]) < U_ABS
         shared = bool(primitives.shared[p]) and len(self.lights) > 1
         dimmed = self.lights[self.own][1].intensity < 1

@@ -1,6 +1,6 @@
 """SuperSampling Control (SSC, T 7) from primitives to pixel utilisations, and the protocol of all pixel controllers.
 
-`WindowedSsc` is the same for one primitive that is drawn over dark pixels again and again near one place.
+`WindowedSsc` is its form for repeated drawing of one primitive near one place over dark pixels.
 """
 
 from dataclasses import dataclass, replace
@@ -101,7 +101,7 @@ class Ssc:
 
 
 def _on_host(primitives: Primitives) -> bool:
-    """Whether it is a single scene on the host, whose windows can be computed without waiting for a device."""
+    """Whether it is a single scene on the host, whose windows need no synchronisation with a device."""
     return primitives.origin.ndim == 2 and primitives.origin.device.type == "cpu"
 
 
@@ -119,7 +119,7 @@ class WindowedSsc:
 
     @classmethod
     def of(cls, ssc: Ssc, window: Window) -> "WindowedSsc":
-        """Cut the window's part out of the tables."""
+        """The window's part of the tables."""
         band = Band.of_window(ssc.pixels, window).pixels
         matrix, grid = ssc.pixels.full.band(band.start, band.stop), ssc.pixels.grid
         texel = torch.arange(grid.rows * grid.cols, device=matrix.indices.device).view(grid.rows, grid.cols)[window.slices].flatten()
@@ -138,8 +138,8 @@ class WindowedSsc:
 
 
 def serves(controller: PixelController, primitives: Primitives, T_world_headlight: Tensor) -> bool:
-    """Whether a window's products are all that primitives need: there is one, its setpoints are the same utilisation for all pixels of a
-    texel, all pixels beside it are dark, and neither weights nor the number of lit setpoints count.
+    """Whether a window's products suffice: one primitive, one utilisation for all pixels of a texel, dark pixels beside it, and neither
+    weights nor counts of lit setpoints.
     """
     if not isinstance(controller, Ssc) or not controller.dark or len(primitives) != 1:
         return False

@@ -15,7 +15,7 @@ from luxloop.world.texels import TexelGrid
 
 NEAREST_M = 1e-3  # distance ahead of the photometric centre at which primitives that reach behind the lamp are clipped
 SLACK = 0.01  # texels, margin for rounding
-BANDS = 4  # of rows: what lies beside a slanting outline need not be computed
+BANDS = 4  # of rows, narrower than the window of a slanting outline
 BANDS_SLACK = 0.05  # texels, margin for rounding
 Point = tuple[float, float, float]
 
@@ -36,7 +36,7 @@ class Window:
 
     @property
     def texels(self) -> int:
-        """How many it holds, if it is not empty."""
+        """Number of its texels, if it is not empty."""
         return (self.row_stop - self.row_start) * (self.col_stop - self.col_start)
 
     @property
@@ -88,8 +88,8 @@ def union(windows: list[Window]) -> Window:
 def projected_windows(primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor, fringe: Sequence[bool] = ()) -> list[Window]:
     """The texels that each primitive of a single scene can touch, by its projected outline ahead of the lamp.
 
-    fringe: primitives that reach one texel beyond their outline, by default none. The windows go to the host, so an accelerator would have
-    to be waited for.
+    fringe: primitives that reach one texel beyond their outline, by default none. The windows go to the host, which would synchronise an
+    accelerator.
     """
     corners = _corners(primitives, T_world_headlight)
     return [_window(outline, grid, fringed) for outline, fringed in zip(corners, fringe or [False] * len(primitives), strict=True)]
@@ -165,7 +165,7 @@ def _bands_of(corners: list[list[float]], window: Window, grid: TexelGrid) -> li
 
 
 def _columns(p: tuple[float, float], q: tuple[float, float], top: float, bottom: float) -> list[float]:
-    """Columns of the ends of the part of an edge that lies between two rows."""
+    """Columns of the two ends of an edge's part between two rows."""
     (r0, c0), (r1, c1) = sorted((p, q))
     if r1 < top or r0 > bottom:
         return []

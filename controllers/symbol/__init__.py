@@ -18,10 +18,9 @@ CONTROLLERS: dict[str, type[NamedParams]] = {params.model_fields["name"].default
 
 
 def build_controller(params: AnyParams, sensor: SymbolSensor) -> SymbolController:
-    """The controller of these params, a symbol's in a scenario, for a sensor with all that a controller may know: lamps, camera, flat
-    road and target.
+    """Build the controller of a scenario's symbol. sensor: all that a controller may know: lamps, camera, flat road and target.
 
-    Raises LuxloopError where a controller of the user's own cannot be made.
+    Raises LuxloopError where a user-defined controller cannot be made.
     """
     match params:
         case OpenLoopParams():
@@ -39,7 +38,7 @@ def build_controller(params: AnyParams, sensor: SymbolSensor) -> SymbolControlle
 
 
 def refuse_place(params: AnyParams, target: str) -> None:
-    """Raises ValueError where a controller cannot hold what its symbol's target asks for."""
+    """Raises ValueError where a controller cannot reach its symbol's kind of target."""
     own = isinstance(params, OwnParams) and params.warp is None and params.supervisor is None
     if target == "place" and isinstance(params, StagedParams) and not own:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Where the symbol came to lie: the symbol seen from above, registered to the one that a flat road would show."""
+"""Placement of the symbol on the road: its bird's-eye view, registered to that of a flat road."""
 
 from dataclasses import dataclass
 from typing import Literal, Self
@@ -17,9 +17,9 @@ from luxloop.world.texels import resample
 
 CELL_M = 0.04
 BEYOND = (0.5, 0.4)  # of the symbol's length and width, on every side
-BLURS = (31, 11, 5)  # cells, coarse to fine, that images are blurred by before they are registered
+BLURS = (31, 11, 5)  # cells of blur before registration, coarse to fine
 NODES = (17, 9)  # of the height mesh, along and across
-SIGMA = 0.2  # of the symbol image, where registered
+SIGMA = 0.2  # standard deviation of the symbol image in registration
 SLOPE_M = 0.02  # usual difference of neighbouring heights
 ITERATIONS = 4
 CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-4)
@@ -29,10 +29,10 @@ Kind = Literal["homography", "mesh", "homography+mesh"]
 
 @dataclass(frozen=True)
 class Placement:
-    """Where each point of the symbol (u right, v down, -1 to 1) has come to lie, in the same coordinates.
+    """Map of the symbol's points (u right, v down, -1 to 1) to their places on the road, in the same coordinates.
 
-    homography: `[3, 3]`. heights: `[rows, cols]` m of a mesh over the whole view. per_m: `[2, h, w]`, how far a height moves a point.
-    extent: u and v at the view's border.
+    homography: `[3, 3]`. heights: `[rows, cols]` m of a mesh over the whole view. per_m: `[2, h, w]`, displacement of a point for 1 m of
+    height. extent: u and v at the view's border.
     """
 
     homography: Tensor
@@ -56,9 +56,9 @@ class Placement:
 
 @dataclass(frozen=True)
 class Alignment:
-    """The view from above, and the target `[rows, cols]` in it. points: `[2, rows, cols]`, its cells in the symbol's coordinates.
+    """The bird's-eye view, and the target `[rows, cols]` in it. points: `[2, rows, cols]`, its cells in the symbol's coordinates.
 
-    still: nothing has moved. basis: `[n, rows * cols]`, the mesh's nodes, bilinear, at the cells.
+    still: the identity. basis: `[n, rows * cols]`, the mesh's nodes, bilinear, at the cells.
     """
 
     plane: BirdsEye
@@ -69,7 +69,7 @@ class Alignment:
 
     @classmethod
     def prepare(cls, sensor: SymbolSensor) -> Self:
-        """Look at the target on the flat road."""
+        """Make the bird's-eye view of the target on the flat road."""
         projector, eye = sensor.projector, sensor.model.eye
         p, device = projector.params, projector.symbol.device
         half = [size * (0.5 + beyond) for size, beyond in zip((p.length_m, p.width_m), BEYOND, strict=True)]
@@ -97,11 +97,11 @@ class Alignment:
         return 1 - torch.minimum(image, self.target).sum((-2, -1)) / torch.maximum(image, self.target).sum((-2, -1))
 
     def undone(self, image: Tensor, placement: Placement) -> Tensor:
-        """The image `[rows, cols]` with every point of the symbol back in its place."""
+        """The image `[rows, cols]` with the placement undone."""
         return self.still.at(image[None], placement.of(self.points))[0]
 
     def register(self, image: Tensor, kind: Kind) -> Placement:
-        """The placement that leaves the least residual: nothing moved, the homography, or a mesh on either."""
+        """The placement of least residual: identity, homography, or a mesh on either."""
         found = [self.still]
         if "homography" in kind:
             found.append(self._homography(image))
@@ -110,7 +110,7 @@ class Alignment:
         return min(found, key=lambda each: float(self.residual(self.undone(image, each))))
 
     def _homography(self, image: Tensor) -> Placement:
-        """Enhanced correlation coefficient (Evangelidis and Psarakis 2008), on the CPU; nothing moved where it does not converge."""
+        """Enhanced correlation coefficient (Evangelidis and Psarakis 2008), on the CPU; the identity if it does not converge."""
         template, seen = (each.cpu().numpy() for each in (self.target, image))
         H: MatLike = np.eye(3, dtype=np.float32)
         everywhere = np.ones(seen.shape, np.uint8)

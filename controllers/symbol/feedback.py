@@ -1,9 +1,8 @@
-"""Feedback laws: the thesis' PIDs (T 9.4), Gauss-Newton on the features, and a reference model of what should be seen.
+"""Feedback laws: the thesis' PIDs (T 9.4), Gauss-Newton on the features, and a model reference.
 
-The latter two correct the target's pose by four numbers. Gauss-Newton adds up `-J^-1 (features seen - features of the target)`. The model
-reference takes the road for a constant offset of the pose, `J^-1 (features seen - features that a flat road would show of the same light)`,
-and subtracts it. Since it compares with the light that was seen, be it as old as it may, latency does not matter to it, nor a symbol cut
-off.
+The latter two correct the target's pose by four numbers. Gauss-Newton integrates `-J^-1 (measured features - target features)`. The model
+reference models the road as a constant pose offset, `J^-1 (measured features - features of the same light on a flat road)`, and subtracts
+it. As it compares with the light of the measured frames, neither latency nor a cut-off symbol affects it.
 """
 
 from collections.abc import Sequence
@@ -28,7 +27,7 @@ from luxloop.world.params import Degrees, Length, Metres, Params, PositiveShare,
 
 
 class PoseParams(StagedParams):
-    """Limits of y, roll and pitch, and when the controller starts anew."""
+    """Limits of y, roll and pitch, and the number of losses before a reset."""
 
     y_range_m: tuple[Metres, Metres] = Field((-6.0, 6.0), description="limits of y or its correction")
     roll_range_deg: tuple[Degrees, Degrees] = Field((-7.0, 7.0), description="limits of the roll or its correction")
@@ -39,7 +38,7 @@ class PoseParams(StagedParams):
 
 
 class FeedbackParams(PoseParams):
-    """What Gauss-Newton and the model reference have in common."""
+    """Common parameters of Gauss-Newton and model reference."""
 
     dof: Literal["z", "x"] = Field("z", description="what shifts the symbol along the road: height or place of its rectangle")
     gain: PositiveShare = Field(0.7, description="share of a correction that a step makes")
@@ -49,13 +48,13 @@ class FeedbackParams(PoseParams):
 
 
 class GaussNewtonParams(FeedbackParams):
-    """Gauss-Newton steps on four features of the symbol: the whole Jacobian in place of four gains."""
+    """Gauss-Newton steps on four features of the symbol: the full Jacobian instead of four gains."""
 
     name: Literal["gauss_newton"] = "gauss_newton"
 
 
 class ModelReferenceParams(FeedbackParams):
-    """Compares with what a flat road would show of the same light, so that latency does not matter to it."""
+    """Compares with the features of the same light on a flat road, so that latency has no effect."""
 
     name: Literal["model_reference"] = "model_reference"
 
@@ -64,7 +63,7 @@ class ModelReferenceParams(FeedbackParams):
 class FeedbackState:
     """correction: `[..., 4]` of x or z in m, y in m, roll, pitch in rad. losses: `[...]` int64, failed extractions in a row.
 
-    pose: `[..., 4]`, to be shown in place of a correction, None after the first step.
+    pose: `[..., 4]`, start pose shown instead of a correction; None after the first step.
     """
 
     correction: Tensor
@@ -73,7 +72,7 @@ class FeedbackState:
 
 
 class Rendering(Protocol):
-    """What a law asks its sensor: the flat model, and features `[..., 4]` that a flat road would show of the light of a projection."""
+    """The sensor as a law uses it: the flat model, and features `[..., 4]` of a projection's light on a flat road."""
 
     @property
     def model(self) -> FlatModel: ...
@@ -83,10 +82,10 @@ class Rendering(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """One of the laws.
+    """Gauss-Newton or model reference.
 
-    target: `[4]`, the flat-road pose. m_per_z: of a place, to a m of height. inverse: `[4, 4]`, of the flat model's Jacobian. low, high:
-    `[..., 4]`, limits of the correction. gain: `[..., 1]`, losses_to_reset: `[...]`, as in params, which say the rest.
+    target: `[4]`, the flat-road pose. m_per_z: displacement in m for 1 m of height. inverse: `[4, 4]`, of the flat model's Jacobian. low,
+    high: `[..., 4]`, limits of the correction. gain: `[..., 1]`, losses_to_reset: `[...]`, as in params, which say the rest.
     """
 
     params: FeedbackParams
@@ -107,7 +106,7 @@ class Feedback:
         m_per_z = float(target[0] / height) if params.dof == "z" else 1.0
         limits = [degree.limits(params, "shift" if degree.name == "x" else None) for degree in appearance.DEGREES]
         low, high = target.new_tensor(limits).unbind(-1)
-        if params.dof == "z":  # heights that cast the same light as those places
+        if params.dof == "z":  # heights that cast the same light as shifts in x
             places = [max(float(target[0]) + end, 1.0) for end in params.shift_range_m]
             low[0], high[0] = (float(height * (1 - target[0] / place)) for place in places)
         probe = appearance.probes(target)
@@ -132,11 +131,11 @@ class Feedback:
         return FeedbackState(correction.clamp(self.low, self.high), losses, pose)
 
     def projection(self, state: FeedbackState, ego: Ego | None) -> ProjectionCommand:
-        """The symbol as it is at the corrected target."""
+        """The undistorted symbol at the corrected target."""
         return _command(self.params, self.target, state.correction) if state.pose is None else ProjectionCommand(state.pose)
 
     def step(self, state: FeedbackState, observation: Observation) -> FeedbackState:
-        """Correct by what was seen; hold while the symbol is lost, show the flat-road primitive after repeated loss."""
+        """Correct by the measurement; hold while the symbol is lost; show the flat-road primitive after repeated loss."""
         errors = observation.measurement.errors
         usable, losses = _count(state.losses, observation.measurement.code, errors)
         offset = torch.where(usable[..., None], errors, 0.0)
@@ -177,7 +176,7 @@ class PidTuning(Params):
 
 
 class ThesisPidParams(PoseParams):
-    """Four PIDs with the gains of T 9.4.3. Limits keep the primitive from turning edge-on, as at atan(h/x) = 2.5 deg nose-down."""
+    """Four PIDs with the gains of T 9.4.3. Limits keep the primitive from turning edge-on, which it is at atan(h/x) = 2.5 deg nose-down."""
 
     name: Literal["thesis_pid"] = "thesis_pid"
     position: PidTuning = Field(PidTuning(kp=0.75, ki=0.5, kd=0.26, tracking_steps=1.1), description="gains of the x and y loops")
@@ -225,18 +224,18 @@ class ThesisPid:
         return ThesisPidState(pid_reset(self.gains, pose), torch.zeros(pose.shape[:-1], dtype=torch.int64, device=pose.device))
 
     def projection(self, state: ThesisPidState, ego: Ego | None) -> ProjectionCommand:
-        """The symbol as it is at the outputs of the four loops, `[..., 4]`."""
+        """The undistorted symbol at the outputs `[..., 4]` of the four loops."""
         return ProjectionCommand(state.pid.output)
 
     def step(self, state: ThesisPidState, observation: Observation) -> ThesisPidState:
         """Move the primitive against the errors; hold it while the symbol is lost; show the flat-road primitive after repeated loss.
 
-        A missing frame says nothing about the symbol: the pose is held and the loss is not counted.
+        A missing frame is no loss: the pose is held and the loss is not counted.
         """
         seen = observation.measurement
         usable, losses = _count(state.losses, seen.code, seen.pose_error)
         reset = losses >= self.losses_to_reset
-        error = torch.where(usable[..., None], -seen.pose_error, 0.0)  # not NaN, whose gradient would survive the choice below
+        error = torch.where(usable[..., None], -seen.pose_error, 0.0)  # zero instead of NaN, whose gradient would survive the selection
         moved = pid_step(state.pid, error, 1.0, self.gains)
         pid = _where(usable[..., None], moved, state.pid)
         pid = _where(reset[..., None], pid_reset(self.gains, self.target.expand_as(pid.output)), pid)

@@ -1,6 +1,6 @@
-"""Stages on top of any controller with feedback: a warp and a supervisor, if a scenario has them, and lifting onto the road that was found.
+"""Stages on top of any controller with feedback: optional warp and supervisor, and lifting onto the relocalised road.
 
-Also the controllers of a user: `package.module:Name`.
+Also user-defined controllers: `package.module:Name`.
 """
 
 from dataclasses import dataclass, replace
@@ -19,12 +19,12 @@ from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world import plugin
 from luxloop.world.params import Params, PositiveShare, Share
 
-BEYOND = (0.4, 0.15)  # of the symbol's length and width, by which a warp's rectangle is larger on every side
-LEAST_SHARE = 0.2  # of a placement: after a few that did not help there is nothing more to be had
+BEYOND = (0.4, 0.15)  # margin of a warp's rectangle on every side, of the symbol's length and width
+LEAST_SHARE = 0.2  # least share of a placement to undo; below it no gain is expected
 
 
 class WarpParams(Params):
-    """How the symbol is warped once the controller has brought it near its place."""
+    """Warping of the symbol once the controller has brought it near its target."""
 
     kind: Kind = Field("homography+mesh", description="a homography, and heights of a mesh, which move the symbol along epipolar lines")
     takes_over: PositiveShare = Field(0.3, description="largest residual, 1 minus IoU, that the first registration may leave")
@@ -33,10 +33,8 @@ class WarpParams(Params):
 
 @dataclass(frozen=True)
 class WarpingState:
-    """inner: the controller's state. residual: 1 minus IoU of the best symbol seen so far, or of the controller's last.
-
-    best: what was shown then, None while the controller draws. projection: what is tried now. share: of a placement that is undone at once,
-    zero when there is nothing more to be had.
+    """inner: the controller's state. residual: 1 minus IoU of the best symbol so far, or of the controller's last. best: its projection,
+    None while the controller draws. projection: the one on trial. share: of a placement to undo in one step, zero when no gain is expected.
     """
 
     inner: Any
@@ -47,7 +45,7 @@ class WarpingState:
 
 
 class Warping:
-    """The controller's own projection until that gets no better; from then on a warp, composed exactly with each registration."""
+    """The controller's projection until it no longer improves, then a warp, composed exactly with each registration."""
 
     def __init__(self, params: WarpParams, inner: SymbolController, sensor: SymbolSensor) -> None:
         self.params, self.inner, self.projector = params, inner, sensor.projector
@@ -58,11 +56,11 @@ class Warping:
         return WarpingState(self.inner.start(pose))
 
     def projection(self, state: WarpingState, ego: Ego | None) -> ProjectionCommand:
-        """What is tried, or what the controller draws."""
+        """The projection on trial, or the controller's."""
         return state.projection or self.inner.projection(state.inner, ego)
 
     def step(self, state: WarpingState, observation: Observation) -> WarpingState:
-        """Keep a warp whose symbol lies better than any before, else go half as far; give a lost symbol back to the controller."""
+        """Keep a warp with a lower residual than all before, else halve the step; return a lost symbol to the controller."""
         code = observation.measurement.code
         lost = code != ExtractionStatus.SEEN
         if state.projection is None or (lost and code != ExtractionStatus.NO_FRAME):
@@ -104,7 +102,7 @@ class Warping:
         return replace(state, projection=replace(state.best, warp=warp))
 
     def _whole(self) -> Warp:
-        """The symbol as it is, on a warp's rectangle."""
+        """The undistorted symbol on a warp's rectangle."""
         p, margins = self.projector.params, [1 + 2 * beyond for beyond in BEYOND]
         centres = [(2 * torch.arange(n, device=self.projector.symbol.device) + 1) / n - 1 for n in CELLS]
         v, u = (centre * margin for centre, margin in zip(centres, margins, strict=True))
@@ -113,7 +111,7 @@ class Warping:
 
 
 class SupervisorParams(Params):
-    """When a controller is given the charge, and when it loses it."""
+    """Conditions for handing over to and from a controller."""
 
     grace_steps: int = Field(
         8, ge=1, le=1_000_000, description="observations of the controller's symbol, after which it has to lie better than the open loop's"
@@ -124,9 +122,10 @@ class SupervisorParams(Params):
 
 @dataclass(frozen=True)
 class SupervisingState:
-    """inner: state of the controller in charge, None for the open loop. opened: residual of the open loop when it was last seen.
+    """inner: state of the controller in charge, None for the open loop. opened: residual of the open loop when last seen.
 
-    observations: at the controller's symbol so far. failed: residual of the open loop that nothing could be done about, None for none.
+    observations: number of observations of the controller's symbol. failed: residual of the open loop that the controller could not reduce,
+    or None.
     """
 
     inner: Any = None
@@ -136,7 +135,7 @@ class SupervisingState:
 
 
 class Supervising:
-    """Begins with the open loop; the controller takes over from there where the road is uneven, as long as it is better."""
+    """Begins with the open loop; the controller takes over on uneven roads, as long as it is better."""
 
     def __init__(self, params: SupervisorParams, inner: SymbolController, sensor: SymbolSensor) -> None:
         self.params, self.inner, self.target = params, inner, sensor.projector.target
@@ -144,7 +143,7 @@ class Supervising:
         self.flat = ProjectionCommand(self.target)
 
     def start(self, pose: Tensor) -> SupervisingState:
-        """The open loop, whatever the pose `[4]`."""
+        """The open loop, for any pose `[4]`."""
         return SupervisingState()
 
     def projection(self, state: SupervisingState, ego: Ego | None) -> ProjectionCommand:
@@ -168,7 +167,7 @@ class Supervising:
         return replace(state, observations=state.observations + 1, inner=self.inner.step(state.inner, observation))
 
     def _try(self, residual: float, image: Tensor, state: SupervisingState, observation: Observation) -> SupervisingState:
-        """The controller, unless it has failed here before or a registration explains too little, as where something hides the road."""
+        """Hand over to the controller, unless it failed here before or a registration explains too little, as with a hidden road."""
         if observation.measurement.code != ExtractionStatus.SEEN or (
             state.failed is not None and abs(residual - state.failed) < self.params.changed
         ):
@@ -180,13 +179,13 @@ class Supervising:
         return SupervisingState(self.inner.step(self.inner.start(self.target), observation), residual)
 
 
-SURE = 0.85  # match with which a road is believed though the symbol is seen as on another; on grades it is above 0.9
-LOSSES = 4  # in a row, after which a shape is given up: more than after which controllers show their target again
+SURE = 0.85  # correlation above which a new road shape is accepted although the symbol is seen on the present one; on grades it exceeds 0.9
+LOSSES = 4  # in a row, after which a shape is dropped: more than controllers need to show their target again
 
 
 @dataclass(frozen=True)
 class LiftingState:
-    """inner: the controller's state. shape: `[4]` of the road that is drawn for, None for the plane z = 0. losses: in a row, on a shape."""
+    """inner: the controller's state. shape: `[4]` of the assumed road, None for the plane z = 0. losses: in a row, on a shape."""
 
     inner: Any
     shape: Tensor | None = None
@@ -194,7 +193,7 @@ class LiftingState:
 
 
 class Lifting:
-    """The controller draws and sees as on the plane z = 0, and begins anew at the target on every other road that is acquired."""
+    """The controller draws and measures as on the plane z = 0, and restarts at the target on every newly acquired road."""
 
     def __init__(self, inner: SymbolController, sensor: SymbolSensor) -> None:
         self.inner, self.sensor, self.projector = inner, sensor, sensor.projector
@@ -204,12 +203,12 @@ class Lifting:
         return LiftingState(self.inner.start(pose))
 
     def projection(self, state: LiftingState, ego: Ego | None) -> ProjectionCommand:
-        """The controller's, for the road as it is known."""
+        """The controller's projection, lifted onto the known road."""
         projection = self.inner.projection(state.inner, ego)
         return projection if state.shape is None else replace(projection, shape=state.shape)
 
     def step(self, state: LiftingState, observation: Observation) -> LiftingState:
-        """Step the controller by what was drawn for the road as it is known; the errors of earlier light are those of another plant."""
+        """Step the controller with observations of light for the known road; errors of earlier light belong to another plant."""
         if not _same(observation.shown.projection.shape, state.shape):
             return state
         shape, losses = self._road(state, observation)
@@ -223,9 +222,7 @@ class Lifting:
         return LiftingState(self.inner.step(state.inner, observation), shape, losses)
 
     def _road(self, state: LiftingState, observation: Observation) -> tuple[Tensor | None, int]:
-        """The road's shape after an observation, None on the move, which shapes do not follow, and how often in a row the symbol was lost
-        on it.
-        """
+        """The road's shape after an observation, None on the move, where shapes do not apply, and the number of losses in a row on it."""
         moving = observation.ego is not None and not observation.ego.stands
         seen = observation.measurement
         if seen.code.dim() or moving:
@@ -236,7 +233,7 @@ class Lifting:
         return (None, 0) if losses == LOSSES else (state.shape, losses)
 
     def _beyond(self, known: Tensor | None, observation: Observation) -> Tensor | None:
-        """The known shape, or that of a road farther off where the symbol reaches the footprint's ends."""
+        """The known shape, or that of a road farther off if the symbol reaches the footprint's ends."""
         if observation.frames is None or not self.sensor.at_ends(observation.measurement):
             return known
         found = self.sensor.relocalise(observation.frames, observation.shown.lights)
@@ -249,14 +246,14 @@ def _same(a: Tensor | None, b: Tensor | None) -> bool:
 
 
 class StagedParams(Params):
-    """Keys of every controller that can have stages."""
+    """Keys of all controllers that can have stages."""
 
     warp: WarpParams | None = Field(None, description="warps the symbol where the controller can do no more; left out: none")
     supervisor: SupervisorParams | None = Field(None, description="shows the open loop where control does not better it; left out: none")
 
 
 def with_stages(params: StagedParams, controller: SymbolController, sensor: SymbolSensor) -> SymbolController:
-    """The controller with the stages that its keys ask for, lifted onto the road."""
+    """The controller with the stages of its keys, lifted onto the road."""
     if params.warp is not None:
         controller = Warping(params.warp, controller, sensor)
     if params.supervisor is not None:
@@ -269,12 +266,12 @@ METHODS = ("start", "projection", "step")
 
 
 class OwnParams(StagedParams):
-    """`Name(sensor, **options)` of a module of the user's own makes the controller."""
+    """A user-defined controller: `Name(sensor, **options)`."""
 
     name: plugin.OwnName
     options: dict[str, Any] = Field({}, description="keyword arguments of Name, beside the sensor")
 
 
 def own_controller(params: OwnParams, sensor: SymbolSensor) -> SymbolController:
-    """Import and call it. Raises LuxloopError where there is none, it does not take what it is given, or lacks a method."""
+    """Import and construct it. Raises LuxloopError if it does not exist, refuses its options or lacks a method."""
     return cast(SymbolController, plugin.make(params.name, KEY, {"sensor": sensor}, params.options, METHODS))

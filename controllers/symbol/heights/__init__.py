@@ -1,1 +1,1 @@
-"""Controllers that draw for the heights of the road and the motion of the body."""
+"""Controllers that compensate for the heights of the road and the motion of the body."""

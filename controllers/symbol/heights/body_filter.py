@@ -1,6 +1,7 @@
-"""A Kalman filter of the body on its springs and of the road that its wheels are on and will come to.
+"""A Kalman filter of the sprung body and of the road under and ahead of its wheels.
 
-The rear wheels roll where the front wheels did, and these where the road was seen before: so much of what shakes the body is known.
+The rear wheels follow the front wheels, and these roll over road that the camera has seen, so most excitation of the body is known
+beforehand.
 """
 
 import math
@@ -17,15 +18,15 @@ from luxloop.perception.egomotion import Ego
 from luxloop.world.params import Params
 from luxloop.world.scene.vehicle import body_pose
 
-PARTS: Final = 8  # of a time, over which what a mode follows is linear
-OTHER_HZ: Final = 1.3  # of what else shakes the body, undamped
+PARTS: Final = 8  # intervals of a prediction, in which a mode's input is linear
+OTHER_HZ: Final = 1.3  # frequency of other disturbances of the body, undamped
 
 
 @lru_cache(maxsize=64)
 def mode_response(rate_hz: float, damping: float, duration_s: float) -> Tensor:
-    """Value and rate `[2, 2 + PARTS + 1]` of a mode on its spring and damper after some time, exactly.
+    """Exact response `[2, 2 + PARTS + 1]` (value and rate) of a spring-damper mode after a duration.
 
-    Columns: value and rate before, and what the mode follows at even times, from beginning to end, linear in between.
+    Columns: initial value and rate, and the input at evenly spaced times, linear in between.
     """
     omega, part_s = 2 * math.pi * rate_hz, duration_s / PARTS
     spring, damper = omega**2, 2 * damping * omega
@@ -42,13 +43,13 @@ def mode_response(rate_hz: float, damping: float, duration_s: float) -> Tensor:
 
 @lru_cache(maxsize=64)
 def other(duration_s: float) -> Tensor:
-    """An oscillator about a place that holds: `[3, 3]` on value, rate and acceleration."""
+    """Transition `[3, 3]` of value, rate and acceleration of an oscillator about a constant offset."""
     return _exponential([[0, 1, 0], [0, 0, 1], [0, -((2 * math.pi * OTHER_HZ) ** 2), 0]], duration_s)
 
 
 @lru_cache(maxsize=64)
 def news(duration_s: float) -> Tensor:
-    """Covariance `[3, 3]` of value, rate and acceleration after jerks of density 1."""
+    """Process noise `[3, 3]` of value, rate and acceleration from jerks of density 1."""
     ways = torch.stack([other((part + 0.5) * duration_s / PARTS)[:, 2] for part in range(PARTS)])
     return ways.T @ ways * (duration_s / PARTS)
 
@@ -57,21 +58,21 @@ def _exponential(rates: Sequence[Sequence[float]], duration_s: float) -> Tensor:
     return torch.linalg.matrix_exp(duration_s * torch.tensor(rates, dtype=torch.float64))
 
 
-ROUGH_M: Final = 1e-4  # m^2/m by which a wheel's height walks: between classes C and D of ISO 8608, 2 pi^2 n0^2 Gd(n0)
-CELL_M: Final = 0.2  # of the road's strip, along
-BEHIND_M: Final = 2.0  # how far the strip goes beyond the rear axle
-JERK: Final = (0.8, 0.5, 0.5)  # m/s^3 and rad/s^3, root of the density of what is new in what else shakes the body: heave, roll, pitch
-NOISE: Final = ((1e-3, 2e-4, 2e-4), (5e-3, 2e-3, 2e-3))  # usual, of measured heave, roll and pitch and of their rates
-FIRST: Final = (0.02, 0.1, 0.02, 0.1, 0.5)  # m or rad: usual values and rates on the road, and values, rates and accelerations by others
-UNEVEN_M: Final = 0.05  # usual height of the road
-PITCH_SEEN: Final = 1.5e-4  # rad, how well observations tell how much the body has pitched between them
-OTHER: Final = slice(6, 15)  # states of what other things shake
-LEVEL: Final = 15  # state that tells how the body was pitched when the road was seen last
+ROUGH_M: Final = 1e-4  # m^2/m, random walk of a wheel's height: between classes C and D of ISO 8608, 2 pi^2 n0^2 Gd(n0)
+CELL_M: Final = 0.2  # length of the road strip's cells
+BEHIND_M: Final = 2.0  # length of the strip behind the rear axle
+JERK: Final = (0.8, 0.5, 0.5)  # m/s^3 and rad/s^3, root of the jerk density of other disturbances: heave, roll, pitch
+NOISE: Final = ((1e-3, 2e-4, 2e-4), (5e-3, 2e-3, 2e-3))  # standard deviations of measured heave, roll and pitch, and of their rates
+FIRST: Final = (0.02, 0.1, 0.02, 0.1, 0.5)  # m or rad: initial deviations: value, rate by the road; value, rate, acceleration by others
+UNEVEN_M: Final = 0.05  # initial deviation of the road's height
+PITCH_SEEN: Final = 1.5e-4  # rad, error of the pitch between two observations
+OTHER: Final = slice(6, 15)  # states of other disturbances
+LEVEL: Final = 15  # state: pitch at the last observation of the road
 BODY: Final = 16  # states before the strip's
 
 
 class BodyParams(Params):
-    """What the controller believes of its car: how the body moves on its springs, and where the wheels roll."""
+    """The controller's model of its car: suspension and wheel positions."""
 
     track_m: float = Field(1.6, gt=0.5, le=3, description="distance of the wheels of an axle")
     heave_hz: float = Field(1.2, gt=0, le=10, description="natural frequency of heave")
@@ -82,15 +83,14 @@ class BodyParams(Params):
 
 @dataclass(frozen=True)
 class BodyFilter:
-    """What is known of the body and the road at time_s: mean `[n]` and covariance `[n, n]` of a state, float64 on the CPU.
+    """Estimate of body and road at time_s: mean `[n]` and covariance `[n, n]` of the state, float64 on the CPU.
 
-    All is over a level plane that does not move (`Ego.level_attitude`). State: heave in m, roll and pitch in rad, as the road shakes
-    them, and their rates; the same three as other things shake them, their rates and accelerations; the pitch in rad at the last
-    observation that is taken in; the road in m along the wheels' tracks, the mean of both, then left minus right, in cells from start_m on.
-    way_m: driven so far. known_m: how far along it the road was seen. slope_rad: of the ground, with which the road goes on beyond.
-    axles_m: x of front and rear axle on the ground. distance_m: of the symbol from the middle between them, where a rise of the body
-    looks like a pitch. observations: at later times, by how many rad the body had pitched since the one before, None where that is
-    not known.
+    Reference is a fixed level plane (`Ego.level_attitude`). State: heave in m, roll and pitch in rad, by the road, and their rates; the
+    same three by other disturbances, their rates and accelerations; pitch in rad at the last processed observation; road height in m along
+    the wheel tracks, mean of both, then left minus right, in cells from start_m on. way_m: distance driven. known_m: way up to which the
+    road was seen. slope_rad: of the ground, assumed beyond. axles_m: x of front and rear axle on the ground. distance_m: of the symbol from
+    the midpoint between them, to convert rise into apparent pitch. observations: pending ones, by time, with the pitch in rad since the one
+    before, None if unknown.
     """
 
     params: BodyParams
@@ -108,7 +108,7 @@ class BodyFilter:
 
     @classmethod
     def first(cls, params: BodyParams, ego: Ego, reach_m: float, symbol_x_m: float) -> "BodyFilter":
-        """After the first measurements, with a strip up to reach_m ahead."""
+        """The estimate after the first measurements, with a strip up to reach_m ahead."""
         front, rear = 2 * ego.pivot_x_m - ego.rear_x_m, ego.rear_x_m
         start = math.floor((rear - BEHIND_M) / CELL_M) * CELL_M
         count = math.ceil((reach_m - start) / CELL_M)
@@ -127,21 +127,21 @@ class BodyFilter:
 
     @property
     def pivot_x_m(self) -> float:
-        """Where on the ground the body rolls and pitches."""
+        """Pivot of roll and pitch on the ground."""
         return sum(self.axles_m) / 2
 
     @property
     def pitch_rad(self) -> float:
-        """Pitch `[]` at its time, with the rise as a pitch."""
+        """Apparent pitch `[]` at its time, rise included."""
         return float(self._pitch() @ self.mean)
 
     @property
     def level_rad(self) -> float:
-        """The same at the last observation that is taken in, as it is known now."""
+        """Apparent pitch at the last processed observation, by the present estimate."""
         return float(self.mean[LEVEL])
 
     def update(self, ego: Ego) -> "BodyFilter":
-        """After other measurements; one that is older than what is known changes nothing."""
+        """The estimate after new measurements; older ones than the estimate are ignored."""
         body = self
         for time_s in ego.told_s:
             if time_s > body.time_s:
@@ -152,11 +152,11 @@ class BodyFilter:
         return body
 
     def with_observation(self, time_s: float, pitched_rad: float | None) -> "BodyFilter":
-        """With another observation, after which the body had pitched by so much since the one before."""
+        """With a new observation and the body's pitch since the one before."""
         return replace(self, observations=(*self.observations, (time_s, pitched_rad)))
 
     def caught_up(self) -> "BodyFilter":
-        """At the time of the last observation, with all of them taken in."""
+        """The estimate at the last observation, with all observations processed."""
         body = self
         for time_s, pitched_rad in self.observations:
             body = body.at(time_s)
@@ -172,12 +172,12 @@ class BodyFilter:
         return replace(body, observations=())
 
     def unknown_m(self) -> Tensor:
-        """How far along the way the strip's cells are that were not seen yet: `[k]` m."""
+        """Way `[k]` m of the strip's cells that were not seen yet."""
         cells = self._cells()
         return cells[cells > self.known_m + CELL_M / 2]
 
     def with_road(self, way_m: Tensor, heights: Tensor, variance: Tensor) -> "BodyFilter":
-        """After the road was seen so far `[k]` m along the way: heights `[2, k]` m of left and right track, of variance `[2, k]` m^2."""
+        """The estimate after the road was seen at way `[k]` m: heights `[2, k]` m of left and right track, of variance `[2, k]` m^2."""
         if not len(way_m):
             return self
         at, none = self._weights(way_m), torch.zeros(len(way_m), len(self._cells()), dtype=torch.float64)
@@ -186,12 +186,12 @@ class BodyFilter:
         return replace(self, known_m=float(way_m[-1]))._learnt(torch.cat(rows), exact(heights).flatten(), exact(variance).flatten())
 
     def T_level_body(self, time_s: float) -> Tensor:
-        """Pose `[4, 4]` of the body in the level frame below it at another time."""
+        """Pose `[4, 4]` of the body in the level frame at another time."""
         body = self._transition(time_s - self.time_s) @ self.mean  # [BODY]
         return body_pose(_shaken(0, BODY) @ body, self.pivot_x_m)
 
     def _measure(self, ego: Ego) -> "BodyFilter":
-        """After what was measured at its time."""
+        """Update with the measurements of its time."""
         rows = torch.cat([_shaken(0, len(self.mean)), _shaken(1, len(self.mean))])
         values = torch.cat([exact(ego.level_attitude), exact(ego.rates)])
         times_s = values.new_tensor([ego.attitude_s] * 4 + [ego.rates_s] * 2)  # [6]; the rate of heave is measured with the attitude
@@ -199,7 +199,7 @@ class BodyFilter:
         return self._learnt(rows[told], values[told], torch.tensor(NOISE, dtype=torch.float64).square().flatten()[told])
 
     def _learnt(self, rows: Tensor, values: Tensor, variance: Tensor) -> "BodyFilter":
-        """Kalman's update: values z `[k]` of variance r `[k]` were found of rows H `[k, n]` times the state."""
+        """Kalman update with measured values z `[k]` of variance r `[k]`; H: `[k, n]`."""
         shared = rows @ self.covariance  # H P [k, n]
         gain = torch.linalg.solve(shared @ rows.T + torch.diag(variance), shared).T  # K = P H' (H P H' + diag r)^-1 [n, k]
         covariance = self.covariance - gain @ shared  # P - K H P [n, n]; the mean becomes x + K (z - H x) [n]
@@ -210,17 +210,17 @@ class BodyFilter:
         return pitch - heave / self.distance_m  # H [n]
 
     def at(self, time_s: float) -> "BodyFilter":
-        """Kalman's prediction for another time at this speed, `x = F x`, `P = F P F' + Q`; the strip goes along by whole cells."""
+        """Kalman prediction at this speed, `x = F x`, `P = F P F' + Q`; the strip moves by whole cells."""
         duration_s = time_s - self.time_s
         body, strip = self._transition(duration_s), slice(BODY, None)
         shared = body @ self.covariance  # F P [BODY, n]
         covariance = self.covariance.clone()
-        covariance[:BODY, :BODY] = shared @ body.T  # F P F'; Q are jerks of what else shakes the body, and the road that comes new
+        covariance[:BODY, :BODY] = shared @ body.T  # F P F'; Q: jerks of other disturbances, and new road
         covariance[OTHER, OTHER] += torch.kron(news(max(duration_s, 0.0)), torch.diag(torch.tensor(JERK, dtype=torch.float64).square()))
         covariance[:BODY, strip], covariance[strip, :BODY] = shared[:, strip], shared[:, strip].T
         mean, way_m = torch.cat([body @ self.mean, self.mean[strip]]), self.way_m + self.speed_m_s * duration_s
         count, shift = len(self._cells()), max(math.floor((way_m + self.axles_m[1] - BEHIND_M - self.start_m) / CELL_M), 0)
-        kept = (torch.arange(count) + shift).clamp(max=count - 1)  # the road goes on from where it was seen last
+        kept = (torch.arange(count) + shift).clamp(max=count - 1)  # the road continues from its last seen height
         order = torch.cat([torch.arange(BODY), BODY + kept, BODY + count + kept])  # [n]
         mean, covariance = mean[order], covariance[order][:, order]
         mean[BODY : BODY + count] -= self.slope_rad * CELL_M * (torch.arange(count) + shift - kept)  # new cells only
@@ -229,7 +229,7 @@ class BodyFilter:
         return replace(self, time_s=time_s, way_m=way_m, start_m=self.start_m + shift * CELL_M, mean=mean, covariance=covariance)
 
     def _transition(self, duration_s: float) -> Tensor:
-        """The body `[BODY, n]` after some time at this speed, as a share of each state now."""
+        """Transition `[BODY, n]` of the body states over a duration at this speed."""
         share = torch.linspace(0, 1, PARTS + 1, dtype=torch.float64)
         bases = self._bases(self.way_m + self.speed_m_s * duration_s * share)  # [PARTS + 1, 3, 2 * cells]
         found = bases.new_zeros(BODY, len(self.mean))
@@ -242,7 +242,7 @@ class BodyFilter:
         return found
 
     def _bases(self, way_m: Tensor) -> Tensor:
-        """What heave, roll and pitch follow, `[k, 3, cells of both strips]`, where the car is so far `[k]` along its way."""
+        """Inputs of heave, roll and pitch as weights of the strips' cells, `[k, 3, cells of both strips]`, at way `[k]`."""
         front, rear = (self._weights(way_m + axle) for axle in self.axles_m)  # [k, cells] each
         none = torch.zeros_like(front)
         heave, pitch = (front + rear) / 2, (rear - front) / (self.axles_m[0] - self.axles_m[1])  # [k, cells] each; nose down is positive
@@ -250,7 +250,7 @@ class BodyFilter:
         return torch.stack([torch.cat(mode, 1) for mode in modes], 1)
 
     def _weights(self, way_m: Tensor) -> Tensor:
-        """Shares `[k, cells]` of the cells in what lies between them, so far `[k]` along the way."""
+        """Interpolation weights `[k, cells]` of the cells at way `[k]`."""
         cells = self._cells()
         return (1 - (way_m.clamp(cells[0], cells[-1])[:, None] - cells).abs() / CELL_M).clamp(min=0)
 
@@ -259,19 +259,19 @@ class BodyFilter:
 
 
 def _walk(count: int) -> Tensor:
-    """Covariance `[count, count]` of a wheel's height along cells, of what comes after a known one."""
+    """Covariance `[count, count]` of a wheel's height along the cells after a known one."""
     steps = torch.arange(1, count + 1, dtype=torch.float64)
     return ROUGH_M * CELL_M * torch.minimum(steps[:, None], steps)  # a random walk's
 
 
 def _shaken(derivative: int, states: int) -> Tensor:
-    """Heave, roll and pitch (or their rates), `[3, n]` on the state."""
+    """Output rows `[3, n]` of heave, roll and pitch (or their rates)."""
     rows = torch.zeros(3, states, dtype=torch.float64)
     for mode in range(3):
-        rows[mode, [3 * derivative + mode, 6 + 3 * derivative + mode]] = 1  # what the road and what others shake add up
+        rows[mode, [3 * derivative + mode, 6 + 3 * derivative + mode]] = 1  # contributions of road and other disturbances add up
     return rows
 
 
 def exact(values: Tensor) -> Tensor:
-    """The same in float64 on the CPU, which filters and poses need."""
+    """In float64 on the CPU, as filters and poses need."""
     return values.detach().cpu().double()

@@ -1,4 +1,4 @@
-"""Where the body stands over the ground when frames and projections are exposed, from what the vehicle's sensors say."""
+"""Poses of the body over the ground at the exposure of frames and projections, from the vehicle's sensors."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -11,13 +11,13 @@ from luxloop.controllers.symbol.sensing.road_shape import HERE
 from luxloop.perception.egomotion import Ego
 from luxloop.world.frames import inverse
 
-EVEN = 2e-3  # in m and rad: smaller movements of a body that stands are taken for errors of its sensors
-LATER_S = 0.2  # a quarter of a slow oscillation, after which one that swings through its rest is furthest from it
+EVEN = 2e-3  # in m and rad: smaller movements of a standing body count as sensor noise
+LATER_S = 0.2  # a quarter of a slow oscillation, from its zero crossing to its peak
 
 
 @dataclass(frozen=True)
 class Following:
-    """The body when the next projection is exposed; all poses `[4, 4]`, float64 on the CPU.
+    """Predicted body at the exposure of the next projection; all poses `[4, 4]`, float64 on the CPU.
 
     until: the ground frame of that time in that of the last observation. body: `T_ground_body` then.
     """
@@ -27,7 +27,7 @@ class Following:
 
     @classmethod
     def of(cls, ego: Ego | None, body: BodyFilter, since_s: float, ground: Tensor) -> "Following":
-        """As far as is known now. since_s: time of the last observation. ground: `T_level_ground` `[4, 4]` then."""
+        """The prediction by the present estimate. since_s: time of the last observation. ground: `T_level_ground` `[4, 4]` then."""
         if ego is None:
             return cls()
         now = ground_at(ego, ego.time_s)
@@ -61,7 +61,7 @@ class BodyPoses:
 
     @classmethod
     def of(cls, observation: Observation, body: BodyFilter | None, before_s: float, before: Tensor | None) -> "BodyPoses":
-        """With the body as it is known now; without one the vehicle stands on even wheels.
+        """Poses by the present estimate of the body; None: the vehicle stands on even wheels.
 
         before_s, before: time_s and ground of the observation before, None where there was none.
         """
@@ -79,11 +79,11 @@ class BodyPoses:
 
     @property
     def still(self) -> bool:
-        """Whether the observation is that of a standing vehicle on even wheels."""
+        """Whether the vehicle stood on even wheels in the observation."""
         return self.on.equal(HERE) and self.off.equal(HERE)
 
     def over(self, T_ground_plane: Tensor) -> "BodyPoses":
-        """The same over a plane at `[4, 4]` in place of the ground, of a vehicle that stands."""
+        """Poses over a plane at `[4, 4]` in place of the ground, for a standing vehicle."""
         T = inverse(T_ground_plane)
         return replace(self, on=T @ self.on, off=T @ self.off)
 
@@ -94,7 +94,7 @@ def ground_at(ego: Ego, time_s: float) -> Tensor:
 
 
 def _rests(body: BodyFilter, ground: Tensor, time_s: float) -> bool:
-    """Whether the body stands even at a time and does not only swing through; heave, of which no sensor tells the rate, may do so."""
+    """Whether the body is at rest and even at a time, not merely swinging through; heave may swing, as no sensor measures its rate."""
     # Third row of T_ground_body - 1, [4]: to first order -pitch, roll, 0, and heave + pitch times the pivot's x.
     away, later = ((inverse(ground) @ body.T_level_body(t_s) - HERE)[2].abs() for t_s in (time_s, time_s + LATER_S))
     return bool((away < EVEN).all() and (later[:3] < EVEN).all())

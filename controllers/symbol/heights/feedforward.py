@@ -1,4 +1,4 @@
-"""Feed-forward (T 9.4): the open loop, and inverse ray tracing onto a road that is given or measured with structured light (T 3.5.2)."""
+"""Feed-forward (T 9.4): the open loop, and inverse ray tracing onto a road that is given or measured by structured light (T 3.5.2)."""
 
 import math
 from collections.abc import Callable
@@ -30,23 +30,23 @@ from luxloop.world.roads.shapes import Flat, RoadParams
 
 
 class OpenLoopParams(Params):
-    """No control: what lies straight at the target on a flat road is shown for ever. The start pose is ignored."""
+    """No control: always shows the pose that is right on a flat road. The start pose is ignored."""
 
     name: Literal["open"] = "open"
 
 
 class OpenLoop:
-    """Shows the target pose `[4]` for ever; the state is the projection."""
+    """Always shows the target pose `[4]`; the state is the projection."""
 
     def __init__(self, target: Tensor) -> None:
         self.target = target
 
     def start(self, pose: Tensor) -> ProjectionCommand:
-        """The symbol as it is at the target, in the shape of the pose `[..., 4]`."""
+        """The undistorted symbol at the target, in the shape of the pose `[..., 4]`."""
         return ProjectionCommand(self.target.expand_as(pose))
 
     def projection(self, state: ProjectionCommand, ego: Ego | None) -> ProjectionCommand:
-        """The same for ever."""
+        """The constant projection."""
         return state
 
     def step(self, state: ProjectionCommand, observation: Observation) -> ProjectionCommand:
@@ -55,17 +55,17 @@ class OpenLoop:
 
 
 CELL_M = 0.1
-BEYOND_M = (1.2, 1.5, 0.6)  # how far a road is looked at beyond the symbol: near, far, sides
-NEAREST_M, FARTHEST_M = 4.0, 60.0  # from the eye, along the road, where lines of sight may meet a given road
+BEYOND_M = (1.2, 1.5, 0.6)  # margin of the evaluated road around the symbol: near, far, sides
+NEAREST_M, FARTHEST_M = 4.0, 60.0  # from the eye: range in which lines of sight meet a given road
 SAMPLES = 21  # along and across a symbol, of the road that a plane is fitted to
 PATTERN_CELL_M = (0.15, 0.1)
-HIGHEST_M = 0.2  # farther up or down is a wrong code
-SMOOTHING = ((1.0, 1.5), (1e-3, 8.0))  # weight and standard deviation in cells: what is seen, and what fills its gaps
-LAYERS, HALVINGS = 200, 12  # places that are looked at along a line of sight, 1.5 % apart, and how often the one at the road is halved
+HIGHEST_M = 0.2  # greatest height or depth; beyond it a code is wrong
+SMOOTHING = ((1.0, 1.5), (1e-3, 8.0))  # weight and standard deviation in cells: of the data, and of the filling of gaps
+LAYERS, HALVINGS = 200, 12  # samples along a line of sight, 1.5 % apart, and bisections at the road
 
 
 class FeedforwardParams(Params):
-    """Draws for the road that is given, or that a survey at the beginning measures. What the camera sees later is not used."""
+    """Draws for a given road, or for one measured by a survey at the beginning. Later frames are not used."""
 
     name: Literal["feedforward"] = "feedforward"
     road: RoadParams = Field(Flat(), description="the road's shape, with the keys of [road]")
@@ -74,7 +74,7 @@ class FeedforwardParams(Params):
 
 
 class Feedforward(OpenLoop):
-    """Draws for the given road for ever."""
+    """Always draws for the given road."""
 
     def __init__(self, params: FeedforwardParams, sensor: SymbolSensor) -> None:
         symbol = sensor.projector.params
@@ -85,15 +85,15 @@ class Feedforward(OpenLoop):
         self.drawn = shown_on(relief, sensor, plane)
 
     def start(self, pose: Tensor) -> ProjectionCommand:
-        """The symbol for the given road, whatever the pose `[4]`."""
+        """The symbol for the given road, for any pose `[4]`."""
         return self.drawn
 
 
 @dataclass(frozen=True)
 class MeasuringState:
-    """next: number of the pattern that is shown. seen: contrast `[h, w]` in cd/m^2 of each pattern, None where it is still missing.
+    """next: index of the shown pattern. seen: contrast `[h, w]` in cd/m^2 of each pattern, None while missing.
 
-    projection: for the road that they told, None before.
+    projection: for the measured road, None before.
     """
 
     next: int
@@ -102,7 +102,7 @@ class MeasuringState:
 
 
 class MeasuringFeedforward:
-    """Shows each pattern and its inverse once, with the first module that draws, triangulates, and draws for that road for ever."""
+    """Shows each pattern and its inverse once with the first drawing module, triangulates the road, and draws for it from then on."""
 
     def __init__(self, params: FeedforwardParams, sensor: SymbolSensor) -> None:
         self.params, self.sensor = params, sensor
@@ -121,15 +121,15 @@ class MeasuringFeedforward:
         )
 
     def start(self, pose: Tensor) -> MeasuringState:
-        """The first pattern, whatever the pose `[4]`."""
+        """The first pattern, for any pose `[4]`."""
         return MeasuringState(0, (None,) * len(self.patterns))
 
     def projection(self, state: MeasuringState, ego: Ego | None) -> ProjectionCommand:
-        """A pattern, or the symbol for the road that was found."""
+        """A pattern, or the symbol for the measured road."""
         return state.projection or self.patterns[state.next]
 
     def step(self, state: MeasuringState, observation: Observation) -> MeasuringState:
-        """Keep what the frames show; go round what is still missing, since frames may be late or lost; draw when nothing is."""
+        """Store the contrast of the shown pattern; repeat missing patterns, since frames may be late or lost; draw when all are there."""
         if state.projection is not None:
             return state
         seen = list(state.seen)
@@ -145,7 +145,7 @@ class MeasuringFeedforward:
         return MeasuringState(state.next, tuple(seen), shown_on(relief, self.sensor))
 
     def relief(self, seen: tuple[Tensor | None, ...]) -> HeightMap:
-        """The road that the contrasts of all patterns tell."""
+        """The road measured by the contrasts of all patterns."""
         contrasts = torch.stack([each for each in seen if each is not None])
         bits = (contrasts[0::2] > contrasts[1::2]).long()
         binary = bits.cumsum(0) % 2  # from Gray code
@@ -177,7 +177,7 @@ class MeasuringFeedforward:
         return lit[:, None].expand(-1, self.headlight.pixel_cols).flatten()
 
     def _rise(self, row: Tensor) -> Tensor:
-        """z over x in the lamp's frame of the light of pixel rows `[h, w]`, by where their light is in its texture."""
+        """z / x in the lamp's frame of pixel rows `[h, w]`, by the centre of their light in the texture."""
         light = self.headlight
         number = torch.arange(light.pixel_rows).to(light.matrix.values)[:, None].expand(-1, light.pixel_cols).flatten()
         weighted, whole = (light.light_texture(u).sum(-1).cpu() for u in (number, torch.ones_like(number)))
@@ -189,12 +189,12 @@ class MeasuringFeedforward:
 
 
 def region_around(sensor: SymbolSensor) -> Region:
-    """The plane that light for the symbol crosses, high or low."""
+    """Region of the plane that the symbol's light crosses at any height."""
     return region_of(sensor.projector.params, *BEYOND_M)
 
 
 def shown_on(relief: HeightMap, sensor: SymbolSensor, T_ground_plane: Tensor = HERE) -> ProjectionCommand:
-    """The symbol for a road that is known over a plane at `[4, 4]`, from a standing body."""
+    """The symbol for a known road over a plane at `[4, 4]`, drawn by a standing vehicle."""
     symbol = sensor.projector.params
     lamps = torch.stack([module.T_world_headlight[:3, 3] for module in sensor.projector.modules], 1).to(T_ground_plane)
     return drawn_on(relief, transform(inverse(T_ground_plane), lamps).T, symbol, T_ground_plane, symbol.target == "place")
@@ -213,10 +213,10 @@ def plane_of(z: Callable[[Floats, Floats], Floats], symbol: SymbolParams) -> Ten
 def height_map_of(
     z: Callable[[Floats, Floats], Floats], region: Region, eye: Tensor, offset_m: float = 0.0, T_ground_plane: Tensor = HERE
 ) -> HeightMap:
-    """A road as an eye at `[3]` m sees it: lines of sight are followed to the first place where they are below the road.
+    """The height map of a road for an eye at `[3]` m: lines of sight are followed to their first point below the road.
 
-    z: its heights in m at x and y in m (`Road.z`). offset_m: added to them. T_ground_plane: `[4, 4]`, the plane in whose frame region and
-    eye are, and over which heights are returned. Lines of sight that meet no road end FARTHEST_M ahead.
+    z: heights in m at x and y in m (`Road.z`). offset_m: added to them. T_ground_plane: `[4, 4]`, frame of region, eye and returned
+    heights. Lines of sight that meet no road end FARTHEST_M ahead.
     """
     places = cells(replace(region, cell_m=CELL_M))
     eye, ways = eye.double(), places - eye.double()[:, None, None]

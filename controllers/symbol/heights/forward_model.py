@@ -1,4 +1,4 @@
-"""What the camera would see of known light on a road of given heights: the model that heights are registered with."""
+"""Forward model: camera image of known light on a road of given heights, for registering heights."""
 
 import math
 from collections.abc import Sequence
@@ -19,14 +19,14 @@ from luxloop.world.headlight import Headlight
 from luxloop.world.spmv import Csr, multiply
 from luxloop.world.texels import resample
 
-SIGMAS = 1.4826  # of a normal distribution, in its median deviations
-BESIDE_PX = 2  # of a place in an image, pixels that its value may come from
-DARKNESS_TEXELS = 3.0  # over which a shadow's edge fades
+SIGMAS = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
+BESIDE_PX = 2  # margin in pixels for interpolation
+DARKNESS_TEXELS = 3.0  # width of a shadow's edge
 
 
 @dataclass(frozen=True)
 class LampSight:
-    """A module's light on lines of sight: a point at height z has the lamp coordinates `on_plane + z * per_m`, both `[3, H, w]`.
+    """A module's light along lines of sight: a point at height z has the lamp coordinates `on_plane + z * per_m`, both `[3, H, w]`.
 
     factor: `[H, w]`, cd/m^2 on the plane for each cd. origin: `[3]` m, the lamp.
     """
@@ -38,25 +38,25 @@ class LampSight:
     origin: Tensor
 
     def luminance(self, texture: Tensor, heights: Tensor) -> Tensor:
-        """Luminance `[B, H, w]` in cd/m^2 of a light texture `[rows, cols]` on heights `[B, H, w]` m; what is nearer may cast shadows."""
+        """Luminance `[B, H, w]` in cd/m^2 of a light texture `[rows, cols]` on heights `[B, H, w]` m, shadowed by nearer heights."""
         light = self.headlight
         x, y, z = map(torch.addcmul, self.on_plane, self.per_m, [heights] * 3)  # in the lamp's frame, [B, H, w] each
         row, col = light.texel_of(y / x, z / x)  # T eq. 2.3.2, [B, H, w]
         u, v = 2 * col / light.cols - 1, 2 * row / light.rows - 1  # -1..1 from border to border, [B, H, w]
         image = texture.expand(len(heights), 1, -1, -1)  # [B, 1, rows, cols]
         seen = grid_sample(image, torch.stack([u, v], -1), align_corners=False)[:, 0]  # I(ray) in cd, [B, H, w]
-        horizon = row.flip(-2).cummin(-2).values.flip(-2)  # highest ray (least row) to all that is nearer, [B, H, w]
-        # L = I(ray) factor (T eq. 2.1.5; factor: albedo cos / (pi d^2) on the plane), less what nearer heights shade.
+        horizon = row.flip(-2).cummin(-2).values.flip(-2)  # highest ray (least row) to all nearer points, [B, H, w]
+        # L = I(ray) factor (T eq. 2.1.5; factor: albedo cos / (pi d^2) on the plane), minus shadows of nearer heights.
         return seen * self.factor * ((horizon - row) / DARKNESS_TEXELS + 1.5).clamp(0, 1)
 
 
 @dataclass(frozen=True)
 class ForwardModel:
-    """Lines of sight through a region of the plane, and the nodes `[rows, cols]` that hold its heights.
+    """Lines of sight through a region of the plane, and the nodes `[rows, cols]` of its heights.
 
-    step: columns of the camera that are taken together. samples: lines of sight in a camera row. node: `[4, h * w]` int64 and weight:
-    `[4, h * w]`, bilinear, of each pixel of the crop. inside: `[h, w]`, 1 where a pixel sees the region. off_place: `[2, H, W]`, where in
-    the off frame the pixels of the crop see the same road, -1 to 1 over the image; None where the camera has not moved.
+    step: camera columns averaged together. samples: lines of sight a camera row. node: `[4, h * w]` int64 and weight: `[4, h * w]`,
+    bilinear, of each pixel of the crop. inside: `[h, w]`, 1 where a pixel sees the region. off_place: `[2, H, W]`, places in the off frame
+    of the crop's road points, -1 to 1 over the image; None if the camera has not moved.
     """
 
     region: Region
@@ -138,10 +138,11 @@ class ForwardModel:
         return contrast, limit
 
     def observe_symbol(self, frames: tuple[Tensor, Tensor], textures: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-        """The same of the symbol of light textures, one a module; medians tell of all that it leaves dark on the plane.
+        """Contrast and threshold with corrections from the medians of pixels that the symbol leaves dark. textures: of the symbol, one a
+        module.
 
-        What other light has changed by between the frames is taken off. Noisier frames than the camera's raise the threshold. Where
-        nothing is left dark, neither is known.
+        The change of other light between the frames is subtracted. Noise above the camera's raises the threshold. Without dark pixels
+        neither is corrected.
         """
         contrast, limit, without = self._contrast(frames)
         # Pixels that the symbol leaves dark on the plane, [h, w] bool.
@@ -161,7 +162,7 @@ class ForwardModel:
         return contrast, limit, without
 
     def _compensate(self, off: Tensor) -> Tensor:
-        """The off frame `[height, width]` as the camera would see the plane where the on frame was exposed, cut at the crop."""
+        """The off frame `[height, width]`, warped to the camera pose of the on frame, cut at the crop."""
         if self.off_place is None:
             return off[self.crop.slices]
         u, v = self.off_place[:, None]  # [1, h, step * w] each
@@ -180,7 +181,7 @@ class ForwardModel:
 
     @cached_property
     def bilinear(self) -> Csr:
-        """`[h * w, n]`, which interpolates the nodes at the pixels."""
+        """`[h * w, n]`, interpolation of the nodes at the pixels."""
         ends = torch.arange(0, self.node.numel() + 1, len(self.node), dtype=torch.int32, device=self.node.device)
         return Csr(ends, self.node.T.flatten().int(), self.weight.T.flatten(), self.rows * self.cols)
 
@@ -201,12 +202,12 @@ class ForwardModel:
 
 
 def _from(T_ground_body: Tensor, view: View) -> View:
-    """A view of the standing vehicle from where its body is."""
+    """A standing vehicle's view, moved to the pose of the body."""
     return replace(view, T_world_view=T_ground_body @ view.T_world_view)
 
 
 def _place_in_image(view: View, other: View, crop: Crop) -> Tensor:
-    """Where another view sees the plane that a view sees in the pixels of a crop: `[2, h, w]`, -1 to 1 over its image."""
+    """Places `[2, h, w]` in another view's image, -1 to 1 over it, of the plane points in a crop of a view."""
     rays = view.within(*crop.slices).rays().flatten(1)
     uv, _ = other.project(view.origin[:, None] - rays * (view.origin[2] / rays[2]))  # of where rays meet z = 0, [2, h * w] px
     size = uv.new_tensor([[other.width], [other.height]])
@@ -214,6 +215,6 @@ def _place_in_image(view: View, other: View, crop: Crop) -> Tensor:
 
 
 def _place(start: float, stop: float, at: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Continuous index of places among count cells from start to stop, clamped, and whether they lie between these."""
+    """Continuous index of places among count cells from start to stop, clamped, and whether they lie in this range."""
     share = (at - start) / (stop - start)
     return (share * count - 0.5).clamp(0, count - 1), (share >= 0) & (share <= 1)

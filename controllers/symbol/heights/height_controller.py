@@ -1,4 +1,4 @@
-"""luxloop: finds the road's heights from how the symbol lies on it, and draws for that road where that explains what is seen."""
+"""luxloop's controller: registers the road's heights from the symbol's image, and draws for that road if it explains the image."""
 
 import math
 from dataclasses import dataclass, replace
@@ -30,17 +30,17 @@ from luxloop.world.frames import pose as pose_of
 from luxloop.world.params import NotNegative, Params
 from luxloop.world.scene.vehicle import LEARNT_M
 
-LEAST_LIT_PX = 20.0  # fewer lit pixels are no symbol
+LEAST_LIT_PX = 20.0  # least lit pixels of a symbol
 HEIGHTS = 57  # that a sweep tries
-SEEN_BY = 0.05  # of the usual illuminance a node, with which its brightness is no longer a guess
-LOW_M = {"appearance": 0.1, "place": 0.03}  # heights up to here are found without an acquired shape, for each target
-POOR, SEARCHES = 0.08, 4  # residual above which the whole image is searched again, and how often it is for one road
-UNEVEN = 0.03  # residual of what was known, above which heights explain the road better than another search would
-SAME_M = 0.05  # between heights under the target that two searches found, if the second shall be the last
-FALLEN = (-0.3, -0.03, 0.0, 0.0)  # shape of the road on which a symbol is looked for that is nowhere in the image
-FARTHEST = 3.0  # of the way to the plane z = 0: where lines of sight end that meet no acquired road
-ROAD_M = 4e-3  # how well a track's height is known at best
-PITCH_RAD = 5e-4  # usual error of a pitch that is predicted
+SEEN_BY = 0.05  # of the usual illuminance: a node with more has a measured brightness
+LOW_M = {"appearance": 0.1, "place": 0.03}  # heights up to here are registered without relocalisation, by kind of target
+POOR, SEARCHES = 0.08, 4  # residual above which the whole image is searched again, and most searches for one road
+UNEVEN = 0.03  # residual of the known road above which registration replaces another search
+SAME_M = 0.05  # largest difference of the heights of two searches under the target for the second to be the last
+FALLEN = (-0.3, -0.03, 0.0, 0.0)  # guessed road shape for a symbol that is nowhere in the image
+FARTHEST = 3.0  # of the distance to the plane z = 0: end of lines of sight that meet no acquired road
+ROAD_M = 4e-3  # least deviation of a track's height
+PITCH_RAD = 5e-4  # standard deviation of a predicted pitch
 ROUNDING_S = 1e-6  # of times that are equal
 
 Cell = Annotated[float, Field(ge=0.02, le=10)]
@@ -48,7 +48,7 @@ Reach = Annotated[float, Field(ge=0, le=20)]
 
 
 class HeightControllerParams(Params):
-    """Finds the road's heights from how the symbol lies on it, and draws for that road. Where they explain nothing it is the open loop."""
+    """Registers the road's heights from the symbol's image and draws for that road; the open loop if the heights explain nothing."""
 
     name: Literal["luxloop"] = "luxloop"
     cell_m: tuple[Cell, Cell] = Field((0.2, 0.15), description="distance of heights on the assumed road, along and across")
@@ -65,12 +65,12 @@ class HeightControllerParams(Params):
 
 @dataclass(frozen=True)
 class HeightControllerState:
-    """road_map: what is known of the road, in the ground frame of time_s, which is ground in the level one, None before the first
-    observation. body: what was known of it then, if it is measured.
+    """road_map: in the ground frame of time_s; None before the first observation. ground: pose of that frame in the level one. body: its
+    filter then, if measured.
 
-    projection: of a vehicle that stands, None on the move, where it depends on what is measured until it is shown. level_rad: pitch of the
-    body that the road map's heights are based on. first: the first drawing for an acquired road; None once an observation shows it. sought:
-    the symbol has been seen, or a road was guessed to look for it on.
+    projection: of a standing vehicle; None on the move, where it depends on later measurements. level_rad: body pitch on which the road
+    map's heights are based. first: the first drawing for an acquired road, None once observed. sought: whether the symbol was seen, or a
+    road was guessed for it.
     """
 
     road_map: RoadMap
@@ -84,7 +84,7 @@ class HeightControllerState:
 
 
 class HeightController:
-    """Registration of the heights of a road that the vehicle may drive over, supervised by the open loop."""
+    """Registers the heights of a road, also while driving over it; supervised by the open loop."""
 
     def __init__(self, params: HeightControllerParams, sensor: SymbolSensor) -> None:
         self.params, self.projector, self.sensor = params, sensor.projector, sensor
@@ -93,14 +93,14 @@ class HeightController:
         self.standing = keeping(2, self._standing)
         self.cached_draw = keeping(1, self._draw)
         self.registration = self.over(HERE)[1]
-        self.nothing = self._nothing(self.registration)  # known of the road before anything was seen by a vehicle that stands
+        self.nothing = self._nothing(self.registration)  # the empty road map of a standing vehicle
         lamps = torch.stack([module.T_world_headlight[:3, 3].cpu().double() for module in self.projector.modules])
-        self.ends = torch.stack([camera_view(sensor.camera).origin, *lamps], 1)  # of the ways of light, in the body
+        self.ends = torch.stack([camera_view(sensor.camera).origin, *lamps], 1)  # in the body frame
         self.in_flight = sensor.camera.latency_steps + sensor.camera.latency_spread_steps + 2
         self.tried = torch.linspace(-params.highest_m, params.highest_m, HEIGHTS, device=self.projector.symbol.device)
 
     def start(self, pose: Tensor) -> HeightControllerState:
-        """State that shows the pose `[4]` first, or the symbol for the road that is believed."""
+        """State that first shows the pose `[4]`, or the symbol for the assumed road."""
         road_map = self.nothing
         if self.params.start_height_m == 0:
             return HeightControllerState(road_map, 0.0, ProjectionCommand(pose))
@@ -109,7 +109,7 @@ class HeightController:
         return HeightControllerState(believed, 0.0, self._draw(believed))
 
     def projection(self, state: HeightControllerState, ego: Ego | None) -> ProjectionCommand:
-        """The symbol for the road as it is known, from where the body will be by what is measured now."""
+        """The symbol for the known road, from the predicted pose of the body."""
         if state.projection is not None:
             return state.projection
         body = self._filter(state.body, ego)
@@ -120,12 +120,12 @@ class HeightController:
         return self._draw(road_map, Following.of(ego, now, state.time_s, ground))
 
     def step(self, state: HeightControllerState, observation: Observation) -> HeightControllerState:
-        """Register the observation; the open loop's drawing, unless heights explain it better than a flat road does.
+        """Register the observation. The open loop's drawing is shown unless heights explain it better than a flat road does.
 
-        What is known of the road tells how the body has pitched since the observation before, and what the wheels will come to.
+        The known road gives the body's pitch since the observation before, and the road ahead of the wheels.
         """
         body, then = state.body, observation.shown.ego
-        for ego in (then, observation.ego):  # a measurement that is newer than the observation tells more once the observation is taken in
+        for ego in (then, observation.ego):  # process measurements newer than the observation after it
             if ego is not None and then is not None and ego.told_s[-1] < then.time_s + ROUNDING_S:
                 body = self._filter(body, ego)
         now = None if body is None else body.caught_up()
@@ -164,7 +164,7 @@ class HeightController:
         return HeightControllerState(road_map, body_poses.time_s, projection, body, level_rad, first, sought, body_poses.ground)
 
     def _filter(self, before: BodyFilter | None, ego: Ego | None) -> BodyFilter | None:
-        """What is known of the body after a measurement, if there is one; one without axles has no filter."""
+        """The body filter after a measurement; None without measurements or axle positions."""
         if ego is None or ego.pivot_x_m == ego.rear_x_m:
             return before
         return BodyFilter.first(self.params.body, ego, self.reach_m, self.projector.params.x_m) if before is None else before.update(ego)
@@ -172,9 +172,7 @@ class HeightController:
     def _observe(
         self, registration: Registration, road_map: RoadMap, observation: Observation, body_poses: BodyPoses, anew: bool = False
     ) -> RoadMap:
-        """What is known after an observation: nothing, where heights do not explain it. anew: it is the first at light for an acquired
-        road.
-        """
+        """The road map after an observation; empty if heights do not explain it. anew: first observation of light for an acquired road."""
         if observation.frames is None:
             return road_map
         frames, textures, searched = observation.frames, self.projector.textures(observation.shown.lights), road_map.searched
@@ -184,14 +182,14 @@ class HeightController:
         contrast, limit = fine.observe_symbol(frames, textures)
         seen, least_seen = fine.symbol(contrast, limit), limit
         lit = float(seen.sum()) * fine.step >= LEAST_LIT_PX
-        limit = limit / fine.on_pixels(road_map.brightness)  # of the light that the assumed road would show
+        limit = limit / fine.on_pixels(road_map.brightness)  # relative to the assumed road's brightness
         drawn = road_map.candidate_of(observation.shown.projection)
         late = [] if drawn is None or drawn.heights is known else [drawn.heights.mean]
         roads = torch.stack([nothing.heights.mean, *[known.mean] * informed, *late])
         leaves = registration.residual(roads, seen, textures, limit).tolist()
         flat_leaves, before = leaves[0], leaves[informed]
         if lit and not informed and flat_leaves <= self.params.evidence:
-            return nothing  # for no heights can explain so much more
+            return nothing  # since no heights can explain so much more
         unsure = not informed or (anew and not road_map.settled and searched < SEARCHES)
         if body_poses.still and unsure and (acquired := self._relocalise(road_map, observation)) is not None:
             return self._observe(self.over(acquired.T_ground_plane)[1], acquired, observation, body_poses)
@@ -203,7 +201,7 @@ class HeightController:
             road_map = road_map.rate(drawn, residual if residual < flat_leaves else math.inf)
             if road_map.kept is not None and road_map.kept.done:
                 return replace(road_map, heights=road_map.kept.best.heights, brightness=road_map.kept.best.brightness)
-        iterations = 1 if informed else ITERATIONS  # the next observation corrects what one leaves, before it fits noise
+        iterations = 1 if informed else ITERATIONS  # the next observation corrects the rest; more iterations fit noise
         least, best = self._refine(registration, known, known.mean, seen, textures, limit, iterations)
         if least > self.params.sweep_above:
             swept = self._sweep(road_map, frames, textures, body_poses)
@@ -217,7 +215,7 @@ class HeightController:
         if least > flat_leaves - (0.0 if informed else self.params.evidence):
             return nothing
         information = known.information + best.information
-        gain = best.information.trace() / information.trace().clamp(min=1)  # of this observation beside all earlier ones
+        gain = best.information.trace() / information.trace().clamp(min=1)  # weight of this observation against all earlier ones
         brightness = _brightness(fine, best.mean, road_map.brightness, contrast, seen, textures, least_seen)
         share = (least / before if least < before else 1.0) if body_poses.still else self.params.memory
         return replace(
@@ -234,13 +232,13 @@ class HeightController:
         limit: Tensor,
         iterations: int = ITERATIONS,
     ) -> tuple[float, Heights]:
-        """Heights from nodes `[n]` on, and what they leave unexplained."""
+        """Heights refined from nodes `[n]`, and their residual."""
         found = registration.refine(nodes, known, seen, textures, limit, iterations)
         return float(registration.residual(found.mean[None], seen, textures, limit)[0]), found
 
     def _relocalise(self, road_map: RoadMap, observation: Observation) -> RoadMap | None:
-        """The road that explains where in the whole image the symbol is; None where a road near the plane may, which observations find
-        without.
+        """The road found by the symbol's place in the whole image; None if a road near the plane may explain it, which registration finds
+        itself.
         """
         assert observation.frames is not None
         symbol = self.projector.params
@@ -250,9 +248,9 @@ class HeightController:
         return self._road_of_shape(road_map, found.shape)
 
     def _guess(self, state: HeightControllerState, observation: Observation) -> RoadMap | None:
-        """A road to look for the symbol on that is not in the image, though it is shown for the road that was believed.
+        """A guessed road for a symbol that is not in the image, though drawn for the assumed road.
 
-        Half as high or low as that; after a flat road one that falls, unless the symbol has been seen before, so that something hides it.
+        Half as high or low as the assumed road; after a flat road a falling one, unless the symbol was seen before and is thus hidden.
         """
         lost, before = observation.measurement.acquired, state.road_map.shape
         if lost is None or lost.found or state.projection is None or not observation.shown.projection.shows(state.projection):
@@ -262,7 +260,7 @@ class HeightController:
         return None if state.sought or lost.match else self._road_of_shape(state.road_map, self.projector.target.new_tensor(FALLEN))
 
     def _road_of_shape(self, before: RoadMap, shape: Tensor) -> RoadMap:
-        """A road of shape `[4]`, over the plane on which the symbol is aimed there."""
+        """A road map of a road of shape `[4]`, over the plane on which the symbol is aimed there."""
         symbol = self.projector.params
         rise = float((shape - (0 if before.shape is None else before.shape)) @ shape.new_tensor([1.0, 0.0, symbol.y_m, 0.0]))
         plane = aim(shape, symbol, self.projector.modules, self.ends[:, 0])
@@ -271,8 +269,8 @@ class HeightController:
         return replace(believed, shape=shape, searched=before.searched + 1, settled=abs(rise) < SAME_M)
 
     def _bent(self, ego: Ego, body: BodyFilter) -> Tensor:
-        """Shape `[4]` of a road that bends on as the ground does, which turns by its slope's rate over the speed each m; flat until the
-        vehicle has driven so far that the ground follows the road.
+        """Shape `[4]` of a road with the ground's vertical curvature (slope rate over speed); flat until the vehicle has driven so far that
+        the ground follows the road.
         """
         if body.way_m < LEARNT_M:
             return torch.zeros_like(self.projector.target)
@@ -293,7 +291,7 @@ class HeightController:
         return plane_sweep(coarse, seen, textures, limit, self.tried, road_map.heights.base)
 
     def _draw(self, road_map: RoadMap, following: Following = AT_REST) -> ProjectionCommand:
-        """The symbol for the road as it is known, from where the body will be then."""
+        """The symbol for the known road, from the predicted pose of the body."""
         symbol, plane = self.projector.params, road_map.T_ground_plane
         T_plane_body = following.body if plane.equal(HERE) else inverse(plane) @ following.body
         T_body_plane = inverse(T_plane_body)
@@ -305,12 +303,12 @@ class HeightController:
         return replace(projection, aim=elsewhere(plane, symbol))
 
     def _nothing(self, registration: Registration) -> RoadMap:
-        """Nothing known of the road."""
+        """The empty road map."""
         heights, forward_model = registration.unknown(), registration.forward_model
         return RoadMap(heights, torch.ones_like(heights.mean), self.region, (forward_model.rows, forward_model.cols), forward_model.eye)
 
     def over(self, T_ground_plane: Tensor) -> tuple[ForwardModel, Registration]:
-        """What heights over a plane `[4, 4]` are swept and refined with while the vehicle stands."""
+        """Registrations for sweep and refinement of heights over a plane `[4, 4]` while the vehicle stands."""
         return self.standing(tuple(T_ground_plane.flatten().tolist()))
 
     def _standing(self, plane: tuple[float, ...]) -> tuple[ForwardModel, Registration]:
@@ -324,12 +322,12 @@ class HeightController:
         return self._forward_model(body_poses, 4, 1)
 
     def _forward_model(self, body_poses: BodyPoses, step: int, samples: int) -> ForwardModel:
-        """How the body sees the road when the two frames are exposed."""
+        """Forward model for the body's poses at the two frames."""
         return ForwardModel.prepare(self.sensor, self.region, self.params.cell_m, step, samples, body_poses.on, body_poses.off)
 
 
 def _preview(body: BodyFilter, road_map: RoadMap, body_poses: BodyPoses, ego: Ego) -> BodyFilter:
-    """With the road that the wheels will come to, as it is known after an observation when it has left the light."""
+    """The body filter with the known road ahead of the wheels, once it has left the light."""
     way_m, driven_m = body.unknown_m(), body.way_m + body.speed_m_s * (body_poses.time_s - body.time_s)
     x = (way_m - driven_m).to(road_map.eye)
     aside = ego.yaw_rate_rad_s / ego.speed_m_s.clamp(min=1.0) * (x - ego.rear_x_m) ** 2 / 2
@@ -340,12 +338,12 @@ def _preview(body: BodyFilter, road_map: RoadMap, body_poses: BodyPoses, ego: Eg
 
 
 def _assume_heights(road_map: RoadMap, heights: Tensor) -> RoadMap:
-    """A road whose heights `[n]` are taken for granted until something is seen of it."""
+    """A road map with assumed heights `[n]`, until they are observed."""
     return replace(road_map, heights=Heights(heights, torch.eye(len(heights)).to(heights) / HEIGHT_M**2, heights))
 
 
 def laid(target: Tensor, T_body_ground: Tensor) -> ProjectionCommand:
-    """The symbol as it is, for a body, at a target pose `[4]` that lies flat on the ground."""
+    """The undistorted symbol, in the body frame, at a target pose `[4]` flat on the ground."""
     if T_body_ground.equal(HERE):
         return ProjectionCommand(target)
     centre = T_body_ground.new_tensor([float(target[0]), float(target[1]), 0.0])
@@ -356,9 +354,9 @@ def laid(target: Tensor, T_body_ground: Tensor) -> ProjectionCommand:
 def _brightness(
     fine: ForwardModel, heights: Tensor, before: Tensor, contrast: Tensor, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor
 ) -> Tensor:
-    """Brightness `[n]` of the nodes, from where the light is that falls on such heights.
+    """Brightness `[n]` of the nodes, from the light that falls on these heights.
 
-    limit: `[h, w]` cd/m^2. Where less light than that is expected, what is seen is other light, and says nothing of the road.
+    limit: `[h, w]` cd/m^2. Pixels with less expected light are ignored, as they show other light.
     """
     expected = fine.luminance(textures, fine.on_pixels(heights)[None])[0]
     lit = (seen > 0.5) & (expected > limit)

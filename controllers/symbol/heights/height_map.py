@@ -1,4 +1,4 @@
-"""The height map of the road as the camera sees it, and inverse ray tracing of a symbol onto it (T 9.4)."""
+"""The height map of the road from the camera's view, and inverse ray tracing of a symbol onto it (T 9.4)."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,17 +13,17 @@ from luxloop.controllers.symbol.sensing.road_shape import LEAST_HEIGHT_M, below_
 from luxloop.perception.birdseye import Region
 from luxloop.world.frames import inverse, pose, transform
 
-LAYERS = 33  # heights between which the way of light is interpolated
-ROUNDS = 10  # in which the line of sight to a place of the road is found
-LEAST_DROP_M = 0.05  # from the eye to a point that it sees
+LAYERS = 33  # layers of height between which light paths are interpolated
+ROUNDS = 10  # of bisection for the line of sight to a place of the road
+LEAST_DROP_M = 0.05  # least drop from the eye to a visible point
 
 
 @dataclass(frozen=True)
 class HeightMap:
-    """What an eye at `[3]` m sees behind the cells of a region of the plane; row 0 is far, column 0 is left.
+    """Heights and brightness seen by an eye at `[3]` m behind the cells of a region of the plane; row 0 is far, column 0 is left.
 
-    heights: `[rows, cols]` m. brightness: `[rows, cols]`, luminance as a multiple of what the plane would show of the same light. A cell
-    is where a line of sight meets the plane, not the surface, so nothing is hidden from the eye. Beyond the region its border goes on.
+    heights: `[rows, cols]` m. brightness: `[rows, cols]`, luminance relative to the plane in the same light. Cells are places where lines
+    of sight meet the plane, not the surface, so none is hidden from the eye. Beyond the region its border continues.
     """
 
     region: Region
@@ -32,7 +32,7 @@ class HeightMap:
     brightness: Tensor
 
     def at(self, values: Tensor, x: Tensor, y: Tensor, beyond: str = "border") -> Tensor:
-        """Values of the cells `[rows, cols]` behind points `[h, w]` of the plane, bilinear; beyond: what they are out of the region."""
+        """Values `[rows, cols]` at points `[h, w]` of the plane, bilinear. beyond: padding outside of the region."""
         r = self.region
         u = 2 * (r.y_left_m - y) / (r.y_left_m - r.y_right_m) - 1
         v = 2 * (r.x_far_m - x) / (r.x_far_m - r.x_near_m) - 1  # -1..1 from border to border
@@ -46,17 +46,17 @@ class HeightMap:
         return place + (eye.view(3, *(1,) * x.dim()) - place) * (h / eye[2])  # where lines of sight are at height h
 
     def under(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Height `[h, w]` m of the road at x and y `[h, w]` themselves, and the points `[2, h, w]` of the plane behind which it is."""
+        """Height `[h, w]` m of the road at its own x and y `[h, w]`, and the points `[2, h, w]` of the plane in front of it."""
         eye, place = self.eye.to(x), torch.stack([x, y])
         heights = torch.zeros_like(x)
-        for _ in range(ROUNDS):  # by halves, or what falls off would swing
+        for _ in range(ROUNDS):  # damped by half, or steep drops would oscillate
             # Where lines of sight to height h over the places meet z = 0, [2, h, w].
             behind = eye[:2, None, None] + (place - eye[:2, None, None]) * (eye[2] / (eye[2] - heights))
             heights = (heights + self.at(self.heights, *behind)) / 2
         return heights, behind
 
     def seen_from(self, lamp: Tensor, points: Tensor, normal: Tensor, deepest_m: float) -> tuple[Tensor, Tensor]:
-        """Where on the plane the eye sees the light that a lamp at `[3]` m sends towards points `[3, h, w]` m of a patch: x, y, `[h, w]`.
+        """Places x, y `[h, w]` on the plane where the eye sees a lamp's light towards points `[3, h, w]` m of a patch. lamp: `[3]` m.
 
         normal: `[3]`, unit, of the patch. The light is followed from deepest_m above the patch to as far below it, to the first point under
         the road's surface.
@@ -69,7 +69,7 @@ class HeightMap:
         ways = [x + (x - eye[0]) * rise, y + (y - eye[1]) * rise]
         # Height of the road over the light, [layers, h, w] m.
         above = self.at(self.heights, *(way.flatten(0, 1) for way in ways)).view_as(ways[0]) - z
-        above[-1].clamp_(min=0)  # what comes so far down ends there
+        above[-1].clamp_(min=0)  # light paths end at the lowest layer
         under = (above >= 0).to(torch.uint8).argmax(0, keepdim=True)  # first layer, [1, h, w]
         over = (under - 1).clamp(min=0)
         d_over, d_under = above.gather(0, over), above.gather(0, under)
@@ -78,7 +78,7 @@ class HeightMap:
         return x_seen, y_seen
 
     def _layers(self, h: Tensor, lamp: Tensor, over_patch: Tensor, points: Tensor) -> Tensor:
-        """Of layers `[layers]` those `[n, 1, 1]` that the road may cross, with the next one above and below it."""
+        """The layers `[n, 1, 1]` that the road may cross, with one more above and below."""
         ends = torch.stack(points[2].aminmax())  # lowest and highest point of the patch, [2] m
         z = ends + (lamp[2] - ends) * (h[:, None] / over_patch[0, 0])  # of each layer, [layers, 2] m
         least, most = self.heights.aminmax()
@@ -87,19 +87,19 @@ class HeightMap:
 
 
 CELLS = (256, 256)  # along and across: finer than the texels of a lamp
-FOLLOWED = 4  # light is followed for every fourth cell along and across, and interpolated between them
-SAMPLES = (33, 17)  # of the symbol, along and across, whose light the patch must hold
-BEYOND = (0.4, 0.15)  # of the symbol's length and width, how far light may cross the plane z = 0 beyond it for a patch of that plane
-HIGHEST_M = 0.2  # of a road: a higher one gets a patch that is fitted to it
-LEAST_DEPTH_M = 0.05  # above and below a fitted patch, where the road is looked for at least
+FOLLOWED = 4  # light paths are traced for every fourth cell along and across, and interpolated
+SAMPLES = (33, 17)  # samples of the symbol, along and across, whose light the patch must contain
+BEYOND = (0.4, 0.15)  # of the symbol's length and width: margin within which light must cross the plane z = 0 for a patch on that plane
+HIGHEST_M = 0.2  # height of a road above which the patch is fitted to it
+LEAST_DEPTH_M = 0.05  # least search range above and below a fitted patch
 
 
 def drawn_on(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, T_body_ground: Tensor, in_place: bool = False) -> ProjectionCommand:
-    """The symbol, on a rectangle on the road, warped such that the eye sees on the relief what it would see on the plane.
+    """The symbol on a rectangle on the road, warped so that the eye sees on the relief the same image as on the plane.
 
-    lamps: `[m, 3]` m. T_body_ground: `[4, 4]`; relief and lamps are in the ground frame, the projection is in that of the body. The light
-    of a cell takes what of the symbol lies where the eye sees that light on the plane, or where the light is itself if the symbol shall lie
-    in_place. What is brighter than the plane would be is dimmed.
+    lamps: `[m, 3]` m. T_body_ground: `[4, 4]`; relief and lamps are in the ground frame, the projection is in that of the body. A cell
+    takes the symbol's value at the point of the plane where the eye sees the cell's light, or, with in_place, at the lit point itself.
+    Cells brighter than the plane would be are dimmed.
     """
     lamps = lamps.to(relief.heights)
     T, size_m, depth_m = _patch(relief, lamps, symbol, in_place)
@@ -119,10 +119,10 @@ def drawn_on(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, T_body_grou
 
 
 def _patch(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, in_place: bool) -> tuple[Tensor, tuple[float, float], float]:
-    """A rectangle that holds the light to all of the symbol: on the plane z = 0, else on the plane that fits the road behind it best.
+    """A rectangle that contains all of the symbol's light: on the plane z = 0, else on the plane that fits the road best.
 
-    Returns its pose `[4, 4]`, its length and width, and how far the road is above or below it at most, in m. The plane z = 0 goes first,
-    since edges across and along the road stay along the cells of its patch.
+    Returns its pose `[4, 4]`, length and width, and the largest distance of the road above or below it, in m. The plane z = 0 is preferred,
+    since edges across and along the road stay aligned with its cells.
     """
     along, across = (torch.linspace(-0.5, 0.5, n).to(lamps) for n in SAMPLES)
     # The symbol's points, [33, 17] m each.
@@ -139,9 +139,10 @@ def _patch(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, in_place: boo
 
 
 def _crossings(T: Tensor, road: Tensor, lamps: Tensor) -> tuple[Tensor, Tensor, float]:
-    """Where the ways of light to points `[3, k]` cross the plane of a patch at `[4, 4]`: least and greatest x and y, `[2]` m, in its frame.
+    """Bounds of the crossings of light paths to points `[3, k]` with a patch's plane at `[4, 4]`: least and greatest x and y, `[2]` m, in
+    its frame.
 
-    The last is how far the points are above or below it at most.
+    The last value is the points' largest distance from the plane.
     """
     local, origins = transform(inverse(T), road), transform(inverse(T), lamps.T).T  # [3, k], [m, 3]
     fall = (origins[:, 2:] - local[2]).clamp(min=LEAST_HEIGHT_M)

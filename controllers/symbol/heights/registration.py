@@ -1,4 +1,4 @@
-"""Heights of the road from one observation: a plane sweep for the start, registration by Gauss-Newton in band matrices for the rest."""
+"""Road heights from one observation: plane sweep as initial guess, then Gauss-Newton registration with band matrices."""
 
 import math
 from dataclasses import dataclass
@@ -37,33 +37,33 @@ def solve(band: Tensor, right: Tensor) -> Tensor:
 
 
 def solve_whole(matrix: Tensor, right: Tensor) -> Tensor:
-    """The same of a matrix `[n, n]`."""
+    """As `solve`, for a full matrix `[n, n]`."""
     return torch.cholesky_solve(right[:, None], torch.linalg.cholesky(matrix))[:, 0]
 
 
 @lru_cache(maxsize=4)
 def _places(width: int, n: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Where the elements (j + d, j) `[width, n]` are in a flattened matrix `[n, n]`, and which of them are in it."""
+    """Flat indices `[width, n]` of the elements (j + d, j) in a matrix `[n, n]`, and which of them exist."""
     d, j = torch.arange(width, device=device)[:, None], torch.arange(n, device=device)
     return (d * n + j * (n + 1)).clamp(max=n * n - 1), d + j < n
 
 
 BLURS = ((1.0, 4.0, 0.4), (0.6, 2.5, 0.25))  # rows and camera columns, and half the residual of an outlier
-HIDDEN = 0.6  # outliers begin so much earlier where light is missing, since it may be hidden
+HIDDEN = 0.6  # factor on the outlier scale where light is missing, since it may be hidden
 ITERATIONS = 3
 PROBE_M = 0.002  # of height, for slopes
 LARGEST_STEP_M = 0.03
 PIXEL_SIGMA = 0.15  # of the symbol image
-SLOPE_M = 0.02  # usual difference of neighbouring heights over a square cell; much larger ones count as edges
+SLOPE_M = 0.02  # usual difference of neighbouring heights over a square cell; much larger ones are edges
 HEIGHT_M = 0.08  # usual height
-FREE_M = 0.01  # how far above a free way of light a height may be
+FREE_M = 0.01  # tolerance of heights above a free light path
 
 
 @dataclass(frozen=True)
 class Heights:
-    """Heights at nodes: mean `[n]` m and information `[n, n]` 1/m^2 from what was seen so far; without any they are those of base `[n]`.
+    """Heights at nodes: mean `[n]` m and information `[n, n]` 1/m^2 of the observations; without any the base `[n]`.
 
-    spread: whether information may couple nodes that are no neighbours, as that which was carried along on the move.
+    spread: whether information may couple distant nodes, as after motion.
     """
 
     mean: Tensor
@@ -73,7 +73,7 @@ class Heights:
 
     @property
     def any_information(self) -> bool:
-        """Whether anything was seen so far."""
+        """Whether there is any information."""
         return bool(self.information.diagonal().any())
 
 
@@ -103,13 +103,13 @@ class Registration:
         return cls(forward_model, edges, SLOPE_M * slopes, torch.cat([i, j, (i - j) * n + j]), pairs, weight[a] * weight[b])
 
     def unknown(self) -> Heights:
-        """Zero, and nothing known."""
+        """Zero heights without information."""
         n = self.forward_model.rows * self.forward_model.cols
         zero = self.slopes.new_zeros(n)
         return Heights(zero, zero.new_zeros(n, n), zero)
 
     def residual(self, nodes: Tensor, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor) -> Tensor:
-        """What heights `[k, n]` leave unexplained of a symbol image `[h, w]`, as a share of what they predict to be lit: `[k]`."""
+        """Residual `[k]` of heights `[k, n]` against a symbol image `[h, w]`, as a share of the predicted lit area."""
         predicted = self._predict(self.forward_model.on_pixels(nodes), textures, limit, BLURS[-1])  # [k, h, w]
         # min(e^2, 0.3^2), [k, h, w].
         error = (self._blur(seen[None], BLURS[-1]) - predicted).square().clamp(max=0.09) * self.forward_model.inside
@@ -118,13 +118,14 @@ class Registration:
     def refine(
         self, nodes: Tensor, known: Heights, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor, iterations: int = ITERATIONS
     ) -> Heights:
-        """Gauss-Newton from heights `[n]`, on a symbol image `[h, w]` and what is known; the information is that of the image alone.
+        """Gauss-Newton from heights `[n]`, on a symbol image `[h, w]` and known heights; the returned information is that of the image
+        alone.
 
         iterations: for each of the two blurs.
 
-        The heights z have the least `sum rho(seen - p(z)) + (z - m)' L (z - m) + sum 4 log(1 + d_ij^2 / (4 s_ij^2)) + |z - b|^2 / h^2`
-        with the predicted image p, Tukey's biweight rho, the known mean m and information L, the base b, its usual distance h, and the
-        differences d_ij of z - b between neighbours with their usual size s_ij (Cauchy). None lies above a free way of light.
+        The heights z have the least `sum rho(seen - p(z)) + (z - m)' L (z - m) + sum 4 log(1 + d_ij^2 / (4 s_ij^2)) + |z - b|^2 / h^2` with
+        the predicted image p, Tukey's biweight rho, the known mean m and information L, the base b, its usual distance h, and the
+        differences d_ij of z - b between neighbours with their usual size s_ij (Cauchy). None lies above a free light path.
         """
         forward_model, (i, j) = self.forward_model, self.edges
         lit, dark = (each & (forward_model.inside > 0) for each in (seen > 0.5, seen < 0.2))
@@ -175,11 +176,10 @@ class Registration:
         return weight.new_zeros(width * n).index_add_(0, self.pairs, (self.products * weight.flatten()).flatten()).view(width, n)
 
     def _free(self, heights: Tensor, lit: Tensor, dark: Tensor) -> tuple[Tensor, Tensor]:
-        """Space carving: where light arrives, nothing nearer is in its way.
+        """Space carving: light that arrives was not blocked by nearer heights.
 
-        heights: `[h, w]` m. lit, dark: `[h, w]` bool, pixels where light arrives, and where none does. Returns the height `[h, w]` m that
-        dark pixels have at most by that, and the weight `[h, w]` 1/m^2 of those that are higher. With several lamps there are none: it is
-        not known whose light arrives.
+        heights: `[h, w]` m. lit, dark: `[h, w]` bool, pixels with and without light. Returns the upper bound `[h, w]` m of dark pixels'
+        heights, and the weight `[h, w]` 1/m^2 of heights above it. No bounds with several lamps, as the arriving light may be any lamp's.
         """
         lamp, middle = self.forward_model.lamps[0], self.forward_model.samples // 2
         on_plane, per_m = (a[:, middle :: self.forward_model.samples] for a in (lamp.on_plane, lamp.per_m))  # [3, h, w] each
@@ -201,17 +201,17 @@ def _gaussian(sigma: float, size: int, device: torch.device) -> Tensor:
     return torch.where(apart <= reach, kernel[(reach + apart).clamp(max=2 * reach)], 0.0)
 
 
-CAPS = (0.25, 0.6)  # a pixel costs no more than this where light is missing, which may be hidden, and where it comes from nowhere
-PIXEL = 0.4  # of the camera, cost as much as one height step between neighbours
+CAPS = (0.25, 0.6)  # largest costs of a pixel with missing light, which may be hidden, and with unexpected light
+PIXEL = 0.4  # camera pixels whose cost equals one height step between neighbours
 STEP, JUMP = 0.3, 3.0  # cost of neighbours that differ by one height step, and by more
 
 
 def plane_sweep(
     forward_model: ForwardModel, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor, heights: Tensor, base: Tensor
 ) -> Tensor:
-    """Heights in m at the nodes `[n]`, out of `[k]` over the base `[n]` that are tried, in even steps about zero.
+    """Heights in m at the nodes `[n]`, from candidates `[k]` over the base `[n]`, in even steps about zero.
 
-    seen: symbol image `[h, w]`. limit: threshold `[h, w]` cd/m^2. textures: light that was shown, `[rows, cols]` cd a module.
+    seen: symbol image `[h, w]`. limit: threshold `[h, w]` cd/m^2. textures: shown light, `[rows, cols]` cd a module.
     """
     tried = heights[:, None, None] + forward_model.on_pixels(base)
     lack = seen - forward_model.symbol(forward_model.luminance(textures, tried), limit)

@@ -1,4 +1,4 @@
-"""Road map: what is known of the road's heights stays on the road while the vehicle drives over it."""
+"""Road map: estimated heights that stay on the road while the vehicle drives over it."""
 
 import math
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ CHANGED = 4.0  # ratio of an observation's residual to that of the kept heights,
 
 @dataclass(frozen=True)
 class Candidate:
-    """Heights and brightness `[n]`, and the symbol that was drawn for them: only an observation of that says how good they are."""
+    """Heights and brightness `[n]`, and the symbol drawn for them, whose observation rates them."""
 
     projection: ProjectionCommand
     heights: Heights
@@ -28,7 +28,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class BestCandidate:
-    """The heights that left the lowest residual in an observation of their own projection, and the number of such observations since."""
+    """The heights with the lowest residual in an observation of their own projection, and the number of such observations since."""
 
     best: Candidate
     residual: float
@@ -44,10 +44,9 @@ class BestCandidate:
 class RoadMap:
     """Heights and brightness `[n]` at the nodes `[rows, cols]` of a region, by lines of sight of an eye at `[3]` m, in a ground frame.
 
-    T_ground_plane: `[4, 4]` float64, the plane over which heights are; region and eye are in its frame, too. shape: `[4]` of the road, if
-    it was acquired. searched: how many searches there were. settled: there need be no further one, since two agree or heights
-    explain the road better. drawn: the newest projections while the vehicle stands, with their heights, which a late observation looks up.
-    kept: the best of them.
+    T_ground_plane: `[4, 4]` float64, reference plane of heights; region and eye are in its frame. shape: `[4]` of the road, if acquired.
+    searched: number of searches. settled: no further search is needed, since two agree or heights explain the road better. drawn: newest
+    projections of a standing vehicle with their heights, for late observations. kept: the best of them.
     """
 
     heights: Heights
@@ -63,27 +62,27 @@ class RoadMap:
     kept: BestCandidate | None = None
 
     def relief(self) -> HeightMap:
-        """The road as the eye sees it."""
+        """The height map for the eye."""
         return HeightMap(self.region, self.eye, self.heights.mean.view(self.grid), self.brightness.view(self.grid))
 
     def bare(self) -> "RoadMap":
-        """The road alone, without what came of looking for it: equal to another one where all tensors are the same objects."""
+        """The road alone, without the state of searches; equal to another if all tensors are the same objects."""
         return RoadMap(self.heights, self.brightness, self.region, self.grid, self.eye, self.T_ground_plane)
 
     def showing(self, projection: ProjectionCommand, most: int) -> "RoadMap":
-        """With a projection of the symbol for these heights. most: projections of which observations may still come."""
+        """The map with a projection for its heights. most: number of projections that may still be observed."""
         if self.drawn and self.drawn[-1].projection.shows(projection):
             return self
         return replace(self, drawn=(*self.drawn, Candidate(projection, self.heights, self.brightness))[-most:])
 
     def candidate_of(self, projection: ProjectionCommand) -> Candidate | None:
-        """What a projection was made for, if that is known."""
+        """The candidate of a projection, if known."""
         return next((each for each in reversed(self.drawn) if each.projection.shows(projection)), None)
 
     def rate(self, drawn: Candidate, residual: float) -> "RoadMap":
-        """After an observation of a projection; the best heights are kept until the road changes.
+        """The map after an observation of a projection; the best heights are kept until the road changes.
 
-        residual: of its heights, infinite where they explain less than a flat road does, which only an observation of the kept ones counts.
+        residual: of its heights; infinite if they explain less than a flat road, which counts only for the kept heights.
         """
         kept = self.kept
         if kept is not None and kept.done:
@@ -99,10 +98,10 @@ class RoadMap:
         )
 
     def move(self, T_before_now: Tensor, eye: Tensor) -> "RoadMap":
-        """The same road in the ground frame that has the pose `[4, 4]` in this one, as an eye at `[3]` m sees it there.
+        """The map in a moved ground frame of pose `[4, 4]` in this one, for an eye at `[3]` m there.
 
-        What comes into the region is as high as what was at its border, as bright as the assumed road, and nothing is known of it. The
-        base stays: who knows the new ground frame gives another one, `over`.
+        New parts of the region get the height of the border, the assumed road's brightness, and no information. The base stays; `over`
+        replaces it for the new ground frame.
         """
         T = T_before_now.to(eye)
         if self._is_seen_so(T, eye):
@@ -114,12 +113,12 @@ class RoadMap:
         )
 
     def over(self, base: Tensor) -> "RoadMap":
-        """With another road `[n]` m as the base of its heights, which they are where nothing is known."""
+        """The map with another base `[n]` m, the heights without information."""
         mean = self.heights.mean if self.heights.any_information else base
         return replace(self, heights=replace(self.heights, mean=mean, base=base))
 
     def relief_from(self, T_before_now: Tensor, eye: Tensor) -> HeightMap:
-        """`moved(...).relief()`, without what is known of it."""
+        """`move(...).relief()`, without information."""
         T = T_before_now.to(eye)
         if self._is_seen_so(T, eye):
             return self.relief()
@@ -135,19 +134,19 @@ class RoadMap:
         return heights, relief.at(self.heights.information.diagonal().view(self.grid), *places) * inside
 
     def tilt(self, pitch_rad: float, pivot_x_m: float) -> "RoadMap":
-        """As it would be, had the body that saw it pitched by so many rad more."""
+        """The map if the observing body had pitched by this many rad more."""
         heights = self.heights.mean - pitch_rad * (self.nodes()[0] - pivot_x_m)  # [n]
         return replace(self, heights=replace(self.heights, mean=heights))
 
     def loosen(self, pitch_rad: float, pivot_x_m: float) -> "RoadMap":
-        """With a body whose pitch is uncertain by so many rad: heights may all be higher by as much times their distance (Woodbury)."""
+        """The map with a pitch uncertainty in rad: all heights share an error proportional to distance (Woodbury)."""
         L, arm = self.heights.information, self.nodes()[0] - pivot_x_m  # [n, n], a [n] m
         pull = L @ arm
         information = L - pull[:, None] * pull / (1 / pitch_rad**2 + arm @ pull)  # L - L a a' L / (1 / sigma^2 + a' L a)
         return replace(self, heights=replace(self.heights, information=information, spread=True))
 
     def pitch_between(self, before: "RoadMap", pivot_x_m: float) -> float | None:
-        """By how many rad the body has pitched more than it was taken to, if the road is still as it was known before; None: unknown."""
+        """Pitch error in rad of the body if the road equals the earlier map; None: unknown."""
         known, seen = (each.heights.information.diagonal() for each in (before, self))
         arm = self.nodes()[0] - pivot_x_m
         weight = arm * known * seen / (known + seen).clamp(min=1.0)  # a / (1 / k + 1 / s), [n]
@@ -167,16 +166,16 @@ class RoadMap:
         return eye.equal(self.eye) and T.equal(torch.eye(4).to(T))
 
     def _seen_by(self, T: Tensor, eye: Tensor) -> tuple[Tensor, Tensor]:
-        """Heights and brightness `[n]` at the nodes of an eye in the ground frame that has the pose T `[4, 4]` in this one."""
+        """Heights and brightness `[n]` at the nodes for an eye in the ground frame of pose T `[4, 4]` in this one."""
         relief, nodes = self.relief(), self.nodes()
         heights = -transform(T, nodes)[2]  # of the old plane
-        for _ in range(3):  # where on the road a line of sight ends is known once its height is
+        for _ in range(3):  # iterate, as the end of a line of sight depends on its height
             x, y, z = self._seen_anew(nodes, heights, eye, T, self.eye)  # [1, n] each
             heights = heights + (relief.at(relief.heights, x, y) - z).flatten()
         return heights, 1 + relief.at(relief.brightness - 1, x, y, beyond="zeros").flatten()
 
     def _seen_anew(self, nodes: Tensor, heights: Tensor, eye: Tensor, T: Tensor, other: Tensor) -> Tensor:
-        """Where on its plane another eye sees the road that is as high as `[n]` m on the lines of sight of an eye through nodes `[3, n]`.
+        """Places on its plane where another eye sees road points of height `[n]` m on an eye's lines of sight through nodes `[3, n]`.
 
         T: the ground frame of eye and nodes in that of the other. Returns x, y there and the road's height in that frame, `[3, 1, n]`.
         """
@@ -185,9 +184,9 @@ class RoadMap:
         return torch.stack([x, y, road[2]])[:, None]
 
     def _carry(self, places: Tensor) -> Tensor:
-        """Information `[n, n]` of the heights at the nodes, from that of heights that have come to lie at places between them.
+        """Information `[n, n]` at the nodes, from heights that moved to places between them.
 
-        With `old = V new` the old `old^T L old` is `new^T V^T L V new`. What has left the region is forgotten.
+        With `old = V new` the old `old^T L old` is `new^T V^T L V new`. Heights outside the region are dropped.
         """
         r, (rows, cols) = self.region, self.grid
         down = (r.x_far_m - places[0].flatten()) / (r.x_far_m - r.x_near_m) * rows - 0.5

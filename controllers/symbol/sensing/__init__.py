@@ -1,1 +1,1 @@
-"""How a symbol is drawn, and what the camera's frames say of it."""
+"""Drawing a symbol, and measuring it in camera frames."""

@@ -1,4 +1,4 @@
-"""The field of the lamp modules that draw a symbol: which part of the symbol lies outside, and where on a road it can be lit."""
+"""The field of the lamp modules that draw a symbol: the cut-off part of the symbol, and places on a road that can be lit."""
 
 from collections.abc import Sequence
 
@@ -19,8 +19,8 @@ EVERY = 8  # every eighth cell of a rectangle along and across is tested
 def cut(projector: Projector, projection: ProjectionCommand) -> Tensor:
     """Shares `[..., 4]` of a symbol's white area that lie beyond the SIDES of every module's field; their sum is what is cut.
 
-    A place is cut where no module has a texel in its direction. It counts for one side: of the module whose field is nearest, the one that
-    it is furthest beyond. NaN where no symbol is drawn.
+    A place is cut if no module has a texel in its direction. It counts for one side: that of the nearest field whose border it exceeds
+    most. NaN where no symbol is drawn.
     """
     projection = projector.on_road(projection)
     if projection.raw is None and _wholly_lit(projector, projection):
@@ -39,19 +39,21 @@ def cut(projector: Projector, projection: ProjectionCommand) -> Tensor:
 
 
 def _wholly_lit(projector: Projector, projection: ProjectionCommand) -> bool:
-    """Whether one module's field holds the corners of all symbols; false on a device, which would have to be waited for."""
+    """Whether one module's field contains the corners of all symbols; false on a device, to avoid synchronisation."""
     corners = projector.rectangle(projection).corners()[..., 0, :, :].mT[..., None]  # [..., 3, 4, 1]
     return corners.device.type == "cpu" and any(bool((beyond(module, corners) <= 0).all()) for module in projector.modules)
 
 
 def beyond(module: DrawingModule, places: Tensor) -> Tensor:
-    """How far places `[..., 3, rows, cols]` m lie beyond the four borders of a module's field `[..., 4, rows, cols]` m, negative within."""
+    """Distances `[..., 4, rows, cols]` m of places `[..., 3, rows, cols]` m beyond the four borders of a module's field, negative
+    within.
+    """
     normals, offsets = module.borders.to(places).split([3, 1], 1)
     return (normals @ places.flatten(-2) + offsets).unflatten(-1, places.shape[-2:])
 
 
 def _white(symbol: Tensor, projection: ProjectionCommand, rows: int, cols: int) -> Tensor:
-    """The symbol `[rows, cols]` as it lies on a projection's rectangle, mean of all modules."""
+    """The symbol `[rows, cols]` on a projection's rectangle, mean of all modules."""
     coarse = adaptive_avg_pool2d(symbol[None, None], (rows, cols))
     if projection.raw is not None:
         return torch.zeros_like(coarse[0, 0])
@@ -62,16 +64,16 @@ def _white(symbol: Tensor, projection: ProjectionCommand, rows: int, cols: int) 
     return resample(coarse, u, v)[:, 0].mean(0)
 
 
-FARTHEST = 2.4  # of the target's distance: where light is too far off for an appearance
-PLACES_M, STEP_M = (5.0, 60.0), 0.25  # ahead, where the symbol may go in place of its target
+FARTHEST = 2.4  # of the target's distance: light farther away is too far for an appearance
+PLACES_M, STEP_M = (5.0, 60.0), 0.25  # range and step ahead of places for a symbol whose target cannot be lit
 SAME_M = 1e-3  # between places
 
 
 def aim(shape: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], eye: Tensor) -> Tensor:
-    """The plane `[4, 4]` of the ground on which the symbol shall lie at its x and y; HERE where it shall look as on z = 0.
+    """The plane `[4, 4]` on the ground for the symbol at its x and y; HERE if it is to look as on z = 0.
 
-    shape: `[4]` of the road. eye: `[3]` m. The plane touches the road at the target's place if lamps light its middle, or else at the
-    nearest place ahead where they light all of the symbol. Where there is no such place the target stays what it is.
+    shape: `[4]` of the road. eye: `[3]` m. The plane touches the road at the target if lamps light its middle, else at the nearest place
+    ahead where they light the whole symbol. Without such a place the target is kept.
     """
     shape, eye = shape.detach().cpu().double(), eye.cpu().double()
     if symbol.target == "appearance" and _appears(shape, symbol, modules, eye):
@@ -85,7 +87,7 @@ def aim(shape: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], e
 
 
 def elsewhere(T_ground_plane: Tensor, symbol: SymbolParams) -> Tensor | None:
-    """Where on the ground, x and y `[2]` m, a symbol lies on a plane `[4, 4]`; None where that is its target."""
+    """Place on the ground, x and y `[2]` m, of a symbol on a plane `[4, 4]`; None if it is the target."""
     target = T_ground_plane.new_tensor([symbol.x_m, symbol.y_m, 0.0])
     place = transform(T_ground_plane, target[:, None])[:2, 0]
     at_target = (place - target[:2]).norm() < SAME_M
@@ -93,7 +95,7 @@ def elsewhere(T_ground_plane: Tensor, symbol: SymbolParams) -> Tensor | None:
 
 
 def _appears(shape: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], eye: Tensor) -> bool:
-    """Whether what looks like the middle of the target is on the road, not far behind it, and in the field of a lamp."""
+    """Whether the road point that appears at the target's middle is not too far behind it and in the field of a lamp."""
     way = torch.tensor([symbol.x_m, symbol.y_m, 0.0], dtype=torch.float64) - eye
     share = ray_lengths(shape[None], symbol.x_m, eye, way)[0]
     return bool(share < FARTHEST) and bool(_in_field((eye + share * way)[None, :, None], modules))

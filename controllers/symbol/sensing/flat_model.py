@@ -1,4 +1,4 @@
-"""The controller's internal model (T 9.4.1): what the camera would see of the projected symbol on a flat, empty road, without noise."""
+"""The controller's internal model (T 9.4.1): noise-free image of the projected symbol on a flat, empty road."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ from luxloop.world.rendering.gbuffer import flat_road
 
 
 class FeatureParams(Params):
-    """What of the symbol the controller looks at."""
+    """Features of the symbol that the controller uses."""
 
     view: Literal["raw", "birdseye"] = Field("raw", description="the camera's image, or the z = 0 plane rectified")
     shape: Literal["quadrants", "moments"] = Field("quadrants", description="quadrant centroids as in the thesis, or second moments")
@@ -44,7 +44,7 @@ class Eye:
         return appearance(self._image(symbol, crop), self._axes(symbol, crop))
 
     def look_beside(self, symbol: Tensor, expected: Tensor, crop: Crop) -> tuple[Appearance, Tensor]:
-        """The same, and the area `[...]` of another symbol image `[..., h, w]` that is expected there."""
+        """As `look`, with the area `[...]` of the expected symbol image `[..., h, w]`."""
         axes = self._axes(symbol, crop)
         return appearance(self._image(symbol, crop), axes), area(self._image(expected, crop), axes)
 
@@ -62,7 +62,7 @@ class Eye:
 
 @dataclass(frozen=True)
 class FlatModel:
-    """What the camera would see of the symbol on a flat road.
+    """Forward model of the symbol on a flat road.
 
     transports: of light to the camera's pixels, one a module. beams: `[height, width]` cd/m^2, of the base beams. limit: `[height, width]`
     cd/m^2, threshold of extraction. params: those of extraction. eye: turns symbol images into features. target: `[n]` features at the
@@ -79,7 +79,7 @@ class FlatModel:
     albedo: float
 
     def luminance(self, lights: Sequence[Utilisation], rows: slice | None = None) -> Tensor:
-        """Luminance `[..., height, width]` in cd/m^2 that the lamps add to their base beams on the flat road, of all rows or some."""
+        """Luminance `[..., height, width]` in cd/m^2 that the lamps add to their base beams on the flat road, for all or some rows."""
         return added_light(self.transports, lights, self._without_beams, rows)
 
     @cached_property

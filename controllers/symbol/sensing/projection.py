@@ -1,4 +1,4 @@
-"""What a controller wants to be drawn: a pose of the symbol's rectangle, and how the symbol is warped on it."""
+"""A controller's command: pose of the symbol's rectangle, and warp of the symbol on it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,10 +11,10 @@ CELLS = (512, 256)  # of a warped symbol, along and across
 
 @dataclass(frozen=True)
 class Warp:
-    """The symbol laid anew over another rectangle about the same centre.
+    """A warp of the symbol on another rectangle about the same centre.
 
-    size_m: length and width of that. source: `[..., m, 2, h, w]`, where on the symbol the light of each cell comes from: u to the right and
-    v down, -1 to 1 over the symbol; one for each of m modules, or with m = 1 one for all. dimming: `[..., m, h, w]`, 0..1.
+    size_m: length and width of the rectangle. source: `[..., m, 2, h, w]`, place on the symbol of each cell: u to the right and v down, -1
+    to 1 over the symbol; for each of m modules, or m = 1 for all. dimming: `[..., m, h, w]`, 0..1.
     """
 
     source: Tensor
@@ -28,13 +28,12 @@ class Warp:
 
 @dataclass(frozen=True, eq=False)
 class ProjectionCommand:
-    """One symbol to be shown.
+    """The command of one symbol.
 
-    pose: `[..., 4]` = x, y in m, roll, pitch in rad, in the body frame. z: `[...]` m, height of the centre above the assumed road, None for
-    none. warp: None for the symbol as it is. raw: utilisations `[n_p]`, one a module, that are shown in place of any symbol, None for the
-    symbol. shape: `[4]` of a road on which the eye shall see what it would see of the rest on the plane z = 0, see
-    `luxloop.controllers.symbol.sensing.projector`, None for that plane. aim: `[2]`, x and y in m of the road where the symbol lies because
-    its target cannot be lit, None for the target.
+    pose: `[..., 4]` = x, y in m, roll, pitch in rad, in the body frame. z: `[...]` m, height of the centre above the assumed road, None: 0.
+    warp: None: undistorted. raw: utilisations `[n_p]`, one a module, shown instead of a symbol, or None. shape: `[4]` of a road on which
+    the eye shall see the same image as of the other fields on z = 0 (see `luxloop.controllers.symbol.sensing.projector`), None for z = 0.
+    aim: `[2]`, x and y in m of the symbol's place if its target cannot be lit, None for the target.
     """
 
     pose: Tensor
@@ -45,7 +44,7 @@ class ProjectionCommand:
     aim: Tensor | None = None
 
     def shows(self, other: "ProjectionCommand") -> bool:
-        """Whether another projection is the same; that of a state that was stored and read again is another object."""
+        """Whether another command is equal in value; commands of a restored state are different objects."""
         if self is other:
             return True
         mine, others = self._values(), other._values()
@@ -58,7 +57,7 @@ class ProjectionCommand:
         return [self.pose, *given, *warp, *(self.raw or ())]
 
     def singles(self) -> Iterator["ProjectionCommand"]:
-        """The projections of a batch, one by one."""
+        """The commands of a batch, one by one."""
         n = self.pose.dim() - 1
         poses = self.pose.flatten(0, n - 1) if n else self.pose[None]
         for k, pose in enumerate(poses):

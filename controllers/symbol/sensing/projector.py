@@ -24,15 +24,15 @@ from luxloop.world.frames import View, inverse, pose, rotation, transform
 from luxloop.world.params import Params
 from luxloop.world.texels import resample
 
-FOLLOWED = 4  # light is followed for every fourth cell along and across, and interpolated between them
-FARTHEST, NO_ROAD = 3.0, 1e3  # of the way to the plane z = 0 and to the patch: where lines of sight and light end that meet no road
-LEAST_FALL_M = 1e-3  # of lines over what they cross
+FOLLOWED = 4  # light paths are traced for every fourth cell along and across, and interpolated
+FARTHEST, NO_ROAD = 3.0, 1e3  # ends of lines that meet no road, in distances to z = 0 (sight) and to the patch (light)
+LEAST_FALL_M = 1e-3  # least height of a line's origin over the plane that it crosses
 
 
 def lift(
     projection: ProjectionCommand, size_m: tuple[float, float], shape: Tensor, x0_m: float, eye: Tensor, lamps: Tensor
 ) -> ProjectionCommand:
-    """A drawing of a symbol of `size_m` (length, width) on the plane, as one on a rectangle tangent to a road of a shape `[4]` about x0.
+    """Maps a drawing of a symbol of `size_m` (length, width) on the plane to a rectangle tangent to a road of shape `[4]` about x0.
 
     eye: `[3]`, lamps: `[m, 3]` m. Each lamp has a warp of its own.
     """
@@ -63,7 +63,7 @@ def _rectangle(projection: ProjectionCommand) -> Tensor:
 
 
 def _crossed(origin: Tensor, points: Tensor) -> Tensor:
-    """Where lines from an origin `[3]` m through points `[3, ...]` m cross z = 0; far ahead for lines that do not fall."""
+    """Intersections with z = 0 of lines from an origin `[3]` m through points `[3, ...]` m; far ahead for lines that do not fall."""
     start = origin.view(3, *(1,) * (points.dim() - 1))
     return start + (points - start) * (origin[2] / (origin[2] - points[2]).clamp(min=LEAST_FALL_M))
 
@@ -71,7 +71,7 @@ def _crossed(origin: Tensor, points: Tensor) -> Tensor:
 def _patch(road: Tensor, shape: Tensor, x0_m: float, lamps: Tensor) -> tuple[Tensor, tuple[float, float]]:
     """Pose `[4, 4]`, length and width in m of a rectangle that all light of lamps to points `[3, m, k]` of the road crosses.
 
-    It is tangent to the road behind their middle, but no steeper than lamps can light it.
+    It is tangent to the road behind the points' middle, but no steeper than lamps can light.
     """
     _, b, c, d = shape
     middle = road.flatten(1).mean(1)
@@ -83,7 +83,7 @@ def _patch(road: Tensor, shape: Tensor, x0_m: float, lamps: Tensor) -> tuple[Ten
 
 
 def _compose_warps(warp: Warp | None, source: Tensor, size_m: tuple[float, float]) -> Warp:
-    """A warp on the rectangle whose cells take the light of places `[m, 2, h, w]` on the rectangle of another, or on the symbol."""
+    """A warp whose cells take the light of places `[m, 2, h, w]` on the rectangle of another warp, or on the symbol."""
     if warp is None:
         return Warp(source, torch.ones_like(source[:, 0]), size_m)
     u, v = source.unbind(1)
@@ -94,12 +94,12 @@ def _compose_warps(warp: Warp | None, source: Tensor, size_m: tuple[float, float
 
 
 CORNERS = 4  # of a rectangle
-AHEAD_M = 0.1  # nearer to the camera than that nothing is seen
+AHEAD_M = 0.1  # least distance from the camera of visible points
 NOWHERE = Crop(0, 0, 0, 0)
 
 
 class SymbolParams(Params):
-    """The symbol, how large and bright it shall be, and where on the assumed road."""
+    """The symbol, its size and brightness, and its target on the assumed road."""
 
     image: str = Field(description="name of a shipped symbol, or path of a picture or SVG: white is light, top is the far end")
     width_m: float = Field(2.0, gt=0, le=20, description="extent across the road")
@@ -159,8 +159,8 @@ class DrawingModule:
 class Projector:
     """Draws one symbol with lamp modules.
 
-    modules: those that draw it. symbol: its image `[h, w]` in 0..1. params: its size, brightness and target. eye: `[3]` m in the body
-    frame, for which projections are lifted onto a road.
+    modules: the drawing modules. symbol: image `[h, w]` in 0..1. params: size, brightness and target. eye: `[3]` m in the body frame, from
+    which a lifted projection looks right.
     """
 
     modules: tuple[DrawingModule, ...]
@@ -175,7 +175,7 @@ class Projector:
 
     @cached_property
     def resting(self) -> tuple[Utilisation, ...]:
-        """Utilisations `[n_p]` of the base beams, one a module: what is shown without the symbol."""
+        """Utilisations `[n_p]` of the base beams, one a module: the light without the symbol."""
         return tuple(Utilisation(module.pixel_controller.default) for module in self.modules)
 
     def primitive(self, pose: Tensor) -> Primitives:
@@ -189,10 +189,10 @@ class Projector:
 
     @cached_property
     def _cached_rectangle(self) -> Callable[[ProjectionCommand], Primitives]:
-        return keeping(2, self._rectangle_of)  # of what is drawn now and of what is seen
+        return keeping(2, self._rectangle_of)  # the projections drawn now and seen now
 
     def rectangle(self, projection: ProjectionCommand) -> Primitives:
-        """The primitive that a projection's symbol lies on, not warped; made once for the newest projections, if they have no gradient."""
+        """The unwarped primitive of a projection's symbol; cached for the newest projections without gradient."""
         learns = projection.pose.requires_grad or (projection.z is not None and projection.z.requires_grad)
         return (self._rectangle_of if learns else self._cached_rectangle)(projection)
 
@@ -202,11 +202,11 @@ class Projector:
         return _raise(self._rectangle(projection.pose, *size, self.symbol), projection.z)
 
     def light(self, pose: Tensor) -> tuple[Utilisation, ...]:
-        """Utilisations `[..., n_p]`, one a module, that draw the symbol as it is at a pose `[..., 4]`."""
+        """Utilisations `[..., n_p]`, one a module, that draw the undistorted symbol at a pose `[..., 4]`."""
         return self._cast([self.primitive(pose)] * len(self.modules))
 
     def draw(self, projection: ProjectionCommand) -> tuple[Utilisation, ...]:
-        """Utilisations `[..., n_p]`, one a module, of a projection; a warped one costs a turn for each of a batch."""
+        """Utilisations `[..., n_p]`, one a module, of a projection; a warped batch is drawn one by one."""
         if projection.raw is not None:
             return tuple(Utilisation(u) for u in projection.raw)
         projection = self.on_road(projection)
@@ -220,9 +220,9 @@ class Projector:
         )
 
     def primitives(self, projection: ProjectionCommand, clear: bool = False) -> Sequence[Primitives]:
-        """The primitive that each module draws of a projection without raw utilisations; a warped one is no batch.
+        """The primitive of each module for a projection without raw utilisations; no batch if warped.
 
-        clear: whether a warp's cells beyond the symbol let through what lies below, in place of being dark.
+        clear: whether a warp's cells beyond the symbol are transparent instead of dark.
         """
         projection = self.on_road(projection)
         if projection.warp is None:
@@ -236,7 +236,7 @@ class Projector:
         return [_raise(self._rectangle(projection.pose, *projection.warp.size_m, image), projection.z) for image in images]
 
     def on_road(self, projection: ProjectionCommand) -> ProjectionCommand:
-        """The drawing as one on z = 0 or on a rectangle tangent to the road of its shape."""
+        """The drawing on z = 0 or on a rectangle tangent to the road of its shape."""
         if projection.shape is None:
             return projection
         p, lamps = self.params, torch.stack([module.T_world_headlight[:3, 3] for module in self.modules]).to(self.symbol)
@@ -250,14 +250,14 @@ class Projector:
         )
 
     def textures(self, lights: Sequence[Utilisation]) -> tuple[Tensor, ...]:
-        """Light textures `[rows, cols]` in cd, one a module, of what lights `[n_p]` add to the base beams."""
+        """Light textures `[rows, cols]` in cd, one a module, of lights `[n_p]` minus the base beams."""
         return tuple(
             module.pixel_controller.headlight.light_texture(light.u - beam, None if beam.any() else light.band)
             for module, light, beam in zip(self.modules, lights, (each.pixel_controller.default for each in self.modules), strict=True)
         )
 
     def footprint(self, projection: ProjectionCommand, view: View, margin_m: float, shape: Tensor | None = None) -> Crop:
-        """Where in a camera's image the light of a projection can appear if the road is at most margin_m above or below a shape `[4]`.
+        """The crop of a camera's image in which a projection's light can appear on a road at most margin_m above or below a shape `[4]`.
 
         shape: of the road, see `luxloop.controllers.symbol.sensing.road_shape`; default: z = 0. One rectangle for all of a batch. Rays that
         do not meet the road within 200 m end there.
@@ -277,7 +277,7 @@ class Projector:
     def _ends(
         self, projection: ProjectionCommand, view: View, margin_m: float, shape: Tensor | None
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Image coordinates `[2, n, N]` px where light to N corners ends, n times each, and whether they lie ahead `[n, N]`."""
+        """Image coordinates `[2, n, N]` px of n possible ends of the light to N corners, and whether they lie ahead `[n, N]`."""
         corners = self.rectangle(projection).corners().detach().reshape(-1, 3).T.cpu().double().numpy()
         origins = np.stack([module.T_world_headlight[:3, 3:].double().cpu().numpy() for module in self.modules])
         rays, heights = corners - origins, np.array([-margin_m, margin_m])  # [m, 3, N], [2]
@@ -303,7 +303,7 @@ def _crop(low: Iterable[float], high: Iterable[float], view: View) -> Crop:
 
 
 def _raise(primitive: Primitives, z: Tensor | None) -> Primitives:
-    """A primitive `[..., 1]` at a height z `[...]` m, if there is one."""
+    """A primitive `[..., 1]` raised by z `[...]` m, if not None."""
     if z is None:
         return primitive
     up = torch.stack([torch.zeros_like(z), torch.zeros_like(z), z], -1)[..., None, :]

@@ -1,4 +1,4 @@
-"""What every symbol controller is: state in, state out, and a projection of the symbol to be shown."""
+"""Protocol of symbol controllers: state in, state out, and a projection command."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -13,9 +13,9 @@ from luxloop.perception.egomotion import Ego
 
 @dataclass(frozen=True)
 class Projection:
-    """What was shown in a step.
+    """The projection of a step.
 
-    projection: of the symbol. lights: utilisations, one a module. ego: the motion with which it was drawn, None for a vehicle that stands.
+    projection: of the symbol. lights: utilisations, one a module. ego: the motion with which it was drawn, None for a standing vehicle.
     """
 
     projection: ProjectionCommand
@@ -25,11 +25,11 @@ class Projection:
 
 @dataclass(frozen=True)
 class Observation:
-    """What arrives in a step.
+    """The controller's input in a step.
 
-    measurement: features and errors of the symbol. frames: on and off frame `[height, width]`, digital numbers; None where the camera lost
-    them or none have come. shown: what these frames show, which is older than this step where the camera is late. ego: what is known of the
-    motion now, None for a vehicle that stands.
+    measurement: features and errors of the symbol. frames: on and off frame `[height, width]`, digital numbers; None if lost or not yet
+    arrived. shown: projection in these frames, older than this step if the camera has latency. ego: the present motion, None for a standing
+    vehicle.
     """
 
     measurement: Measurement
@@ -42,11 +42,11 @@ class SymbolController(Protocol):
     """Draws the symbol; its state is a frozen dataclass of tensors."""
 
     def start(self, pose: Tensor) -> Any:
-        """State that shows the pose `[..., 4]` (x, y in m, roll, pitch in rad) first."""
+        """State that first shows the pose `[..., 4]` (x, y in m, roll, pitch in rad)."""
         ...
 
     def projection(self, state: Any, ego: Ego | None) -> ProjectionCommand:
-        """What is to be shown now. ego: what is known of the vehicle's motion now, if anything, newer than any observation."""
+        """The next projection command. ego: the present motion, newer than any observation, or None."""
         ...
 
     def step(self, state: Any, observation: Observation) -> Any:

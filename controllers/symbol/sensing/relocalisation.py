@@ -1,8 +1,8 @@
-"""Acquisition: the road's height, slopes and curvature from where in the whole image the pattern that was shown appears.
+"""Relocalisation: the road's height, slopes and curvature from the place of the shown pattern in the whole image.
 
-All light of a lamp leaves one point, so a road's shape gives for each ray where the camera sees its light: the image is sampled there and
-compared with the pattern in the lamp's own coordinates by normalised cross-correlation, which depends neither on how bright nor on how
-large the symbol appears. Many shapes are tried, and the best of them refined.
+All light of a lamp leaves one point, so a road's shape gives the image point of each ray's light. The image is sampled there and compared
+with the pattern in the lamp's coordinates by normalised cross-correlation, which is independent of the symbol's brightness and size. Many
+shapes are tried, and the best are refined.
 """
 
 import math
@@ -20,25 +20,25 @@ from luxloop.world.frames import View
 from luxloop.world.texels import TexelGrid, resample
 
 GRID = (28, 16)  # rays of a pattern, along and across
-MARGIN = 0.5  # of the pattern's extent, that is compared around it and has to be dark
-DIM = 0.1  # of the brightest light: what is dimmer is no part of the pattern
-DISTANCES_M = (6.0, 70.0)  # ahead of the lamp, where the pattern's middle may lie
-ROWS = 2.0  # image rows between two distances that are tried
+MARGIN = 0.5  # of the pattern's extent, dark surroundings that are compared as well
+DIM = 0.1  # of the brightest light: threshold of the pattern
+DISTANCES_M = (6.0, 70.0)  # ahead of the lamp, range of the pattern's middle
+ROWS = 2.0  # image rows between two tried distances
 HIGHEST_M, STEEPEST, CURVED = 1.2, 0.2, 1 / 100  # largest height at x0, slope, and curvature in 1/m
 SLOPES = ((-0.13, -0.08, -0.05, -0.03, -0.015, 0.0, 0.015, 0.03, 0.05, 0.08, 0.13), (-0.05, -0.02, 0.0, 0.02, 0.05))  # tried: along, across
-STEPS = (0.04, 0.008, 0.015, 0.004)  # of the parameters, when the best of these are refined
-KEPT = 4  # of all that are tried
-ROUNDS = 6  # of refinement, each with half the steps of the one before
+STEPS = (0.04, 0.008, 0.015, 0.004)  # of the parameters in refinement
+KEPT = 4  # candidates that are refined
+ROUNDS = 6  # rounds of refinement, each with half the steps of the previous one
 BLUR, BLURRED_OVER = (1.0, 2.5), (7, 15)  # rows and columns of the image
-USUAL, WORTH = (0.5, 0.03, 0.03, 1 / 300), 0.005  # parameters, and what larger ones cost of the correlation
+USUAL, WORTH = (0.5, 0.03, 0.03, 1 / 300), 0.005  # usual parameters, and the cost in correlation of larger ones
 NEAREST_M, FARTHEST_M, NOWHERE_PX = 0.1, 1e3, -1e6
-LEAST_MATCH = 0.5  # of a pattern that is there
-FAINT_PX = 20.0  # fewer lit pixels are no pattern
+LEAST_MATCH = 0.5  # least correlation of a found pattern
+FAINT_PX = 20.0  # least lit pixels of a pattern
 
 
 @dataclass(frozen=True)
 class Relocalisation:
-    """A road's shape `[4]`, the correlation with what it predicts, and that with what a flat road does; at most 1."""
+    """A road's shape `[4]`, its correlation, and that of a flat road; at most 1."""
 
     shape: Tensor
     match: float
@@ -46,7 +46,7 @@ class Relocalisation:
 
     @property
     def found(self) -> bool:
-        """Whether the pattern is there, and its shape explains at least half of what a flat road leaves open."""
+        """Whether the pattern is found, and its shape explains at least half of the flat road's mismatch."""
         return self.match > max(LEAST_MATCH, (self.flat + 1) / 2)
 
 
@@ -54,7 +54,7 @@ class Relocalisation:
 class Pattern:
     """Rays of a lamp. origin: `[3]` m. rays: `[3, rows, cols]`.
 
-    values: `[rows, cols]`, the mean of the light around them, at most 1. lit: `[rows, cols]`, the share around them that is lit.
+    values: `[rows, cols]`, mean light around each ray, at most 1. lit: `[rows, cols]`, lit share around each ray.
     """
 
     values: Tensor
@@ -64,15 +64,15 @@ class Pattern:
 
     @classmethod
     def of(cls, texture: Tensor, grid: TexelGrid, T_ground_headlight: Tensor) -> Self | None:
-        """The part of a light texture `[rows, cols]` cd that is lit, and its surroundings; None where all is dark."""
+        """The lit part of a light texture `[rows, cols]` cd with its surroundings; None if all is dark."""
         lit = texture > DIM * texture.max()
         if not bool(lit.any()):
             return None
         (top, bottom), (left, right) = (_extent(lit.any(dim)) for dim in (1, 0))
         n, m = GRID
-        usual = texture[texture > 0].mean()  # which a single bright place does not decide
+        usual = texture[texture > 0].mean()  # robust against single bright texels
         images = torch.stack([texture / texture.max(), (texture > DIM * usual).to(texture)])
-        window = pad(images, (-left, right - grid.cols, -top, bottom - grid.rows))  # beyond the texture all is dark
+        window = pad(images, (-left, right - grid.cols, -top, bottom - grid.rows))  # dark beyond the texture
         values, share = adaptive_avg_pool2d(window, GRID)
         row = top + (bottom - top) * (torch.arange(n).to(texture) + 0.5) / n
         col = left + (right - left) * (torch.arange(m).to(texture) + 0.5) / m
@@ -84,7 +84,7 @@ class Pattern:
 
 
 def _extent(lit: Tensor) -> tuple[int, int]:
-    """First and last of what is lit, with the margin."""
+    """First and last lit index, with the margin."""
     places = lit.nonzero()[:, 0].tolist()
     margin = math.ceil(MARGIN * (places[-1] + 1 - places[0]))
     return places[0] - margin, places[-1] + 1 + margin
@@ -92,14 +92,16 @@ def _extent(lit: Tensor) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Relocaliser:
-    """Looks for the light of a projector's modules in the images of a camera."""
+    """Searches whole camera images for the light of a projector's modules."""
 
     modules: tuple[DrawingModule, ...]
     view: View
     x0_m: float
 
     def find(self, symbol: Tensor, textures: Sequence[Tensor]) -> Relocalisation:
-        """The shape that explains best where a symbol image `[height, width]` shows the light of textures, one a module."""
+        """The road shape that best explains the places of the textures' light in a symbol image `[height, width]`. textures: one a
+        module.
+        """
         patterns = self._patterns(textures)
         if not patterns or float(symbol.sum()) < FAINT_PX:
             return Relocalisation(symbol.new_zeros(4), 0.0, 0.0)
@@ -120,7 +122,7 @@ class Relocaliser:
         return Relocalisation(shapes[best], float(match), float(flat))
 
     def area(self, shape: Tensor, textures: Sequence[Tensor]) -> Tensor:
-        """How many pixels `[]` of the image a road of this shape `[4]` shows lit by textures, one a module."""
+        """Number `[]` of image pixels lit by textures, one a module, on a road of shape `[4]`."""
         areas = []
         for pattern in self._patterns(textures):
             u, v = self._seen_at(shape[None], pattern)[0].view(2, *pattern.values.shape)
@@ -129,7 +131,7 @@ class Relocaliser:
         return torch.stack(areas).amax() if areas else shape.new_zeros(())
 
     def _patterns(self, textures: Sequence[Tensor]) -> list[Pattern]:
-        """Of all modules that are lit."""
+        """Patterns of all modules that emit light."""
         found = (
             Pattern.of(texture, module.pixel_controller.headlight, module.T_world_headlight)
             for module, texture in zip(self.modules, textures, strict=True)
@@ -137,7 +139,7 @@ class Relocaliser:
         return [pattern for pattern in found if pattern is not None]
 
     def _matches(self, shapes: Tensor, image: Tensor, patterns: Sequence[Pattern]) -> Tensor:
-        """Correlation `[k]` of patterns with where shapes `[k, 4]` would have them in an image `[1, 1, height, width]`."""
+        """Correlation `[k]` of patterns with an image `[1, 1, height, width]`, sampled at the places that shapes `[k, 4]` predict."""
         possible = (shapes.abs() <= shapes.new_tensor((HIGHEST_M, STEEPEST, STEEPEST, CURVED))).all(-1)
         unusual = WORTH * (shapes / shapes.new_tensor(USUAL)).square().log1p().sum(-1)
         return torch.where(possible, torch.stack([self._match(shapes, image, each) for each in patterns]).mean(0) - unusual, -1.0)
@@ -150,7 +152,9 @@ class Relocaliser:
         return seen @ values / (seen.norm(dim=-1) * values.norm()).clamp(min=1e-6)
 
     def _seen_at(self, shapes: Tensor, pattern: Pattern) -> Tensor:
-        """Image coordinates `[k, 2, rays]` px of where each ray of a pattern meets roads of shapes `[k, 4]`; far outside for nowhere."""
+        """Image coordinates `[k, 2, rays]` px of the points where a pattern's rays meet roads of shapes `[k, 4]`; far outside if they do
+        not.
+        """
         rays = pattern.rays.flatten(1)
         share = ray_lengths(shapes, self.x0_m, pattern.origin, rays).clamp(max=FARTHEST_M)
         uv, depth = self.view.project((pattern.origin[:, None, None] + rays[:, None] * share).flatten(1))

@@ -1,4 +1,4 @@
-"""The road's shape in four numbers, as relocalisation finds it, and planes that lie on a road.
+"""The road's shape in four numbers, and planes on a road.
 
 The road is `z = a + b (x - x0) + c y + d (x - x0)^2 / 2`, with the shape `[4]` = a in m, b and c without unit, d in 1/m, about x0 in m.
 """
@@ -13,9 +13,8 @@ from luxloop.world.frames import pose, rotation, transform
 
 
 def ray_lengths(shape: Tensor, x0_m: float, origin: Tensor, rays: Tensor) -> Tensor:
-    """Multiples `[k, ...]` of rays `[3, ...]` from an origin `[3]` m at which these meet roads of shapes `[k, 4]`, infinite for nowhere.
-
-    With the ray put into the road's equation that is a quadratic's first positive root, in the form that also holds without curvature.
+    """Multiples `[k, ...]` of rays `[3, ...]` from an origin `[3]` m at which they meet roads of shapes `[k, 4]`, infinite if never: the
+    first positive root of a quadratic, in the form that also holds without curvature.
     """
     a, b, c, d = (each.view(-1, *(1,) * (rays.dim() - 1)) for each in shape.unbind(-1))
     x = origin[0] - x0_m
@@ -35,8 +34,8 @@ def height(shape: Tensor, x0_m: float, x: Tensor, y: Tensor) -> Tensor:
 
 
 HERE: Final = torch.eye(4, dtype=torch.float64)  # the plane z = 0 that the vehicle stands on
-LEAST_HEIGHT_M = 0.25  # of a lamp over a plane, which would be edge-on to it otherwise
-MARGIN = 0.1  # of the length and width of the light, by which a rectangle is larger on every side
+LEAST_HEIGHT_M = 0.25  # least height of a lamp over a plane, which would otherwise be edge-on
+MARGIN = 0.1  # margin of a rectangle on every side, of the light's length and width
 
 
 def inclined_plane(at: Tensor, slope_x: Tensor, slope_y: Tensor) -> Tensor:
@@ -53,7 +52,7 @@ def touching(at: Tensor, slope_x: Tensor, slope_y: Tensor, x_m: float, y_m: floa
 
 
 def below_lamps(at: Tensor, slope_x: Tensor, slope_y: Tensor, lamps: Tensor) -> Tensor:
-    """The inclined plane `[4, 4]` at a place `[3]` m, less steep where it must be to lie LEAST_HEIGHT_M below lamps `[m, 3]` m."""
+    """The inclined plane `[4, 4]` at a place `[3]` m, made less steep if needed to lie LEAST_HEIGHT_M below lamps `[m, 3]` m."""
     over = lamps - at  # [m, 3]
     steepest = ((LEAST_HEIGHT_M - over[:, 2] + slope_y * over[:, 1]) / -over[:, 0]).max()
     return inclined_plane(at, torch.maximum(slope_x, steepest), slope_y)
@@ -73,8 +72,8 @@ def cells_of_rectangle(size_m: tuple[float, float], count: tuple[int, int], like
 
 
 def pose_of_rectangle(T: Tensor) -> tuple[Tensor, Tensor]:
-    """Pose `[n]` (x, y in m, roll, pitch in rad) and height `[]` in m of a rectangle at `[4, 4]`; its yaw is left out.
+    """Pose `[n]` (x, y in m, roll, pitch in rad) and height `[]` in m of a rectangle at `[4, 4]`, without its yaw.
 
-    A body that moves adds a yaw of some 1e-4 rad.
+    A moving body adds a yaw of some 1e-4 rad.
     """
     return torch.stack([degree.of_pose(T) for degree in appearance.DEGREES]), T[2, 3]

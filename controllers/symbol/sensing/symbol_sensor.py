@@ -1,4 +1,4 @@
-"""What a symbol controller sees: frames in, errors of the symbol's four degrees of freedom (T 9.4.1) or why it was lost out."""
+"""The symbol sensor: from frames to errors of the symbol's four degrees of freedom (T 9.4.1), or the reason of its loss."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,21 +16,21 @@ from luxloop.perception.appearance import Appearance, error_indices, errors
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.extraction import Crop, Extraction, ExtractionStatus, difference, gate, symbol_image, symbol_images, threshold
 
-LIT = 0.5  # of a pixel, that counts as the symbol's
+LIT = 0.5  # lit share above which a pixel counts as the symbol's
 ENDS = 0.1  # of a footprint's rows, at its near and its far end
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """One look at the symbol.
+    """One measurement of the symbol.
 
-    code: `[...]` int64, an `ExtractionStatus`. errors: `[..., 4]`, e_x, e_y, e_roll, e_pitch in the units of the features, valid where it
-    is seen; seen minus the flat model's target, which is fixed to the body, so that on a body that moves a symbol at its place on the
-    ground has errors as well, which the motion in `Projection` explains. pose_error: `[..., 4]`, the same in m and rad of x, y, roll,
-    pitch, each divided by its plant gain. area_ratio: `[...]`, seen to expected. appearance: five centroids and second moments. symbol:
-    `[..., h, w]` in 0..1, the lit share of each pixel, cut from the camera's image at crop. crop: where that is, px. shape: `[4]` of the
-    road on which it was looked for, see `luxloop.controllers.symbol.sensing.road_shape`, None for the flat one. acquired: what a search of
-    the whole image found, None where there was no search.
+    code: `[...]` int64, an `ExtractionStatus`. errors: `[..., 4]`, e_x, e_y, e_roll, e_pitch in the units of the features, valid if it is
+    seen; measured features minus the flat model's target. That target is fixed to the body, so body motion causes errors even for a symbol
+    at its place on the ground; see the motion in `Projection`. pose_error: `[..., 4]`, the same in m and rad of x, y, roll, pitch, each
+    divided by its plant gain. area_ratio: `[...]`, measured over expected. appearance: five centroids and second moments. symbol: `[..., h,
+    w]` in 0..1, the lit share of each pixel, cut from the camera's image at crop. crop: in px. shape: `[4]` of the road of the search
+    (`luxloop.controllers.symbol.sensing.road_shape`), None for a flat one. acquired: result of a search of the whole image, None without a
+    search.
     """
 
     code: Tensor
@@ -46,10 +46,10 @@ class Measurement:
 
 @dataclass(frozen=True)
 class SymbolSensor:
-    """Extraction in the predicted footprint, gated by the area that is expected there; errors against the flat model's target.
+    """Extraction in the predicted footprint, gated by the expected area; errors against the flat model's target.
 
-    A symbol that is not where it is expected is searched for in the whole image. projector: the lamps that draw, and the symbol. model:
-    what the camera would see on a flat road. camera: its parameters. params: those of the extraction. searches: whether it is.
+    A symbol missing from the footprint is searched for in the whole image. projector: drawing lamps and symbol. model: of the flat road.
+    camera: its parameters. params: of extraction. searches: whether whole images are searched.
     """
 
     projector: Projector
@@ -70,11 +70,11 @@ class SymbolSensor:
         lights: Sequence[Utilisation],
         shape: Tensor | None = None,
     ) -> Measurement:
-        """Look at the on and off frames `[height, width]` (digital numbers) that show the light of a projection.
+        """Measure the symbol in on and off frame `[height, width]` (digital numbers) that show the light of a projection.
 
-        frames: None where the camera lost them. lights: the utilisations that were shown, one a module. shape: `[4]` of the road that the
-        measurement before found, None for a flat one; it is forgotten where the symbol is seen as on a flat road and no longer well on
-        this one. In a batch `[..., height, width]` no lost symbol is searched for.
+        frames: None if lost. lights: shown utilisations, one a module. shape: `[4]` of the road of the previous measurement, None for a
+        flat one; dropped when the symbol fits a flat road and no longer this one. In a batch `[..., height, width]` lost symbols are not
+        searched for.
         """
         if frames is None:
             return replace(self.lost(projection.pose, ExtractionStatus.NO_FRAME), shape=shape)
@@ -95,7 +95,7 @@ class SymbolSensor:
         return replace(found, code=torch.full_like(found.code, ExtractionStatus.SEEN), acquired=acquired)
 
     def relocalise(self, frames: tuple[Tensor, Tensor], lights: Sequence[Utilisation]) -> Relocalisation:
-        """Search the whole of on and off frames for lights `[n_p]`, one a module."""
+        """Search whole on and off frames for lights `[n_p]`, one a module."""
         on, off = frames
         symbol = symbol_image(difference(on, off, self.camera), threshold(off, self.camera, self.params), self.params)
         return self.relocaliser.find(symbol, self.projector.textures(lights))
@@ -103,7 +103,7 @@ class SymbolSensor:
     def _measure_at(
         self, frames: tuple[Tensor, Tensor], projection: ProjectionCommand, lights: Sequence[Utilisation], shape: Tensor | None
     ) -> Measurement:
-        """Look where a road of this shape shows the light."""
+        """Measure in the footprint on a road of this shape."""
         crop = self.projector.footprint(projection, self.model.eye.view, self.params.footprint_margin_m, shape)
         if crop.v_stop - crop.v_start < 2 or crop.u_stop - crop.u_start < 2:
             return replace(self.lost(projection.pose, ExtractionStatus.NOTHING), shape=shape)
@@ -115,13 +115,13 @@ class SymbolSensor:
         return replace(seen, code=gate(area, expected, self.params), area_ratio=area / expected, shape=shape)
 
     def at_ends(self, seen: Measurement) -> bool:
-        """Whether the symbol reaches to where the footprint ends, so that the road may be higher or lower than that allows for."""
+        """Whether the symbol reaches the footprint's ends, so that the road may lie beyond its margin."""
         rows = max(round(ENDS * len(seen.symbol)), 1)
         top, bottom = (bool((end > LIT).any()) for end in (seen.symbol[:rows], seen.symbol[-rows:]))
         return (top and seen.crop.v_start > 0) or (bottom and seen.crop.v_stop < self.model.eye.view.height)
 
     def compare(self, on: Tensor, off: Tensor, expected: tuple[Tensor, Tensor], crop: Crop) -> Measurement:
-        """Look at frames `[..., h, w]` (digital numbers) cut at crop, beside the contrast and threshold of the flat road's light there."""
+        """Measure frames `[..., h, w]` (digital numbers) cut at crop, against the contrast and threshold expected on the flat road."""
         found = difference(on, off, self.camera), threshold(off, self.camera, self.params)
         symbol, expected_symbol = symbol_images(found, expected, self.params)
         seen, area = self.model.eye.look_beside(symbol, expected_symbol, crop)
@@ -133,12 +133,12 @@ class SymbolSensor:
         return error[..., error_indices()] / self.model.gains
 
     def render(self, projection: ProjectionCommand, lights: Sequence[Utilisation]) -> Tensor:
-        """Features `[..., 4]` that a flat road would show of the light of a projection, without noise."""
+        """Noise-free features `[..., 4]` of a projection's light on a flat road."""
         crop = self.projector.footprint(projection, self.model.eye.view, self.params.footprint_margin_m)
         return self.model.eye.features(self.model.eye.look(self.model.symbol(lights, crop), crop))
 
     def lost(self, pose: Tensor, reason: ExtractionStatus) -> Measurement:
-        """What is seen of poses `[..., 4]` where there is nothing to look at."""
+        """The measurement of a lost symbol, for poses `[..., 4]`."""
         nan = torch.full_like(pose, torch.nan)
         batch = pose.shape[:-1]
         nothing = Appearance(nan[..., 0], pose.new_full((*batch, 5, 2), torch.nan), nan[..., 0], nan[..., 0])
