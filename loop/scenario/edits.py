@@ -77,8 +77,8 @@ def acts(before: Scenario, after: Scenario) -> Acts:
     anew.
     """
     found = set[Acts]()
-    for key, value in after:
-        if (old := getattr(before, key)) != value:
+    for key in Scenario.model_fields:  # not its source, which overrides change
+        if (old := getattr(before, key)) != (value := getattr(after, key)):
             inner = [f"{key}.{name}" for name, each in value if each != getattr(old, name)] if key in ("headlight", "camera") else [key]
             found |= {ACTS.get(each) or ACTS.get(key) or ACTS[""] for each in inner}
     if before.shares != after.shares or (before.vehicle is None) != (after.vehicle is None):
