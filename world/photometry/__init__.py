@@ -19,6 +19,7 @@ __all__ = ["Distribution", "Photometry", "light_texture", "read_all", "read_phot
 def read_photometry(path: str | Path) -> Photometry:
     """Read an IES LM-63 or EULUMDAT file; its content decides the format, or, if unclear, its suffix.
 
+    path: of the file.
     Raises LuxloopError with the line and what was expected there.
     """
     path = Path(path)
