@@ -371,7 +371,8 @@ class World:
         direct: whether illuminance is asked for.
         """
         vehicle, direct = self.motion.at(t_s), direct or self.moving or self.metered
-        key = self.moving and (self.scene.key_at(t_s), tuple(vehicle.T_world_body.flatten().tolist())), direct
+        where = () if self.motion is STANDING else tuple(vehicle.T_world_body.flatten().tolist())
+        key = self.scene.key_at(t_s), where, direct
         if key not in self._lit:
             self._triangles = triangles = self.scene.at(t_s, vehicle.T_world_ground, self._triangles)
             eye, render, parts = self.view_at(t_s), self.surfaces.gbuffer, (self.scene, self.modules, self.given)
