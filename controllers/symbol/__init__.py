@@ -18,8 +18,9 @@ CONTROLLERS: dict[str, type[NamedParams]] = {params.model_fields["name"].default
 
 
 def build_controller(params: AnyParams, sensor: SymbolSensor) -> SymbolController:
-    """Build the controller of a scenario's symbol. params: its keys. sensor: all that a controller may know: lamps, camera, flat road and target.
+    """Build the controller of a scenario's symbol.
 
+    params: its keys. sensor: all that a controller may know: lamps, camera, flat road and target.
     Raises LuxloopError where a user-defined controller cannot be made.
     """
     match params:
