@@ -2,7 +2,7 @@
 
 import re
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +60,13 @@ def simulation_of(scenario: Scenario) -> Simulation:
     """The simulation of a scenario, with the lamps and the world of the one before where they are the same."""
     newest[:] = [prepare(scenario, "cpu", *newest)]
     return newest[0]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def only_of_this_file() -> Iterator[None]:
+    """No simulation outlives the tests of its file."""
+    yield
+    newest.clear()
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,7 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
-from functools import cache
+from functools import lru_cache
 from inspect import signature
 from pathlib import Path
 from typing import Any, TypeVar
@@ -27,7 +27,7 @@ Part = TypeVar("Part")
 Parts = dict[str, Any]  # what a value consists of, by its place: "state.gains[0]"
 
 
-@cache
+@lru_cache(1)  # half a gigabyte; calls of a contract that share one follow each other
 def world(scenario: str, device: str, *overrides: str) -> Simulation:
     """The small simulated world of a contract. scenario: in TOML. overrides: changes of its keys, as KEY=VALUE."""
     data = tomllib.loads(scenario)
