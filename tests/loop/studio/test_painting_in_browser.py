@@ -81,10 +81,14 @@ def utilisations(page: webdriver.Chrome) -> np.ndarray:
 def is_lit(page: webdriver.Chrome, served: Served, expected: np.ndarray) -> None:
     """The left module comes to these utilisations, and what is painted in the page is what the scenario has."""
     WebDriverWait(page, 20, 0.1).until(lambda page: np.array_equal(utilisations(page), expected), str(expected))
-    painted, value = (np.array(each, np.uint8).reshape(ROWS, COLUMNS) for each in page.execute_script(MARKED))
-    params = served.studio.session.state.runs[0].simulation.scenario.lighting.painted
-    (left,) = (each for each in params if each.module == "left matrix")
-    assert np.array_equal(left.pictures[1], painted) and np.array_equal(left.pictures[0] * (painted > 0), value)
+
+    def agree(page: webdriver.Chrome) -> bool:
+        painted, value = (np.array(each, np.uint8).reshape(ROWS, COLUMNS) for each in page.execute_script(MARKED))
+        params = served.studio.session.state.runs[0].simulation.scenario.lighting.painted
+        (left,) = (each for each in params if each.module == "left matrix")
+        return np.array_equal(left.pictures[1], painted) and np.array_equal(left.pictures[0] * (painted > 0), value)
+
+    WebDriverWait(page, 20, 0.1).until(agree, "page and scenario differ")  # the last part of a stroke may still be under way
 
 
 def test_a_stroke_is_light_where_it_was_drawn(page: webdriver.Chrome, plain: Served) -> None:
