@@ -17,6 +17,7 @@ KEY: Final = "camera.kind"
 KEPT: Final = 8  # pictures that nobody has looked at yet; older ones are dropped
 AGAIN_S: Final = 0.5  # between two attempts to connect
 STEP_S: Final = 0.1  # for which a read waits at most, so that the thread can end
+PAUSE_S: Final = 1e-3  # after a picture, for the other threads: a read that never waits would hold the lock of the interpreter
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +134,7 @@ class Camera:
                     self._pictures.append(picture)
                     self.count += 1
                     self._changed.notify_all()
+                time.sleep(PAUSE_S)
             elif time.monotonic() - heard_s > self._timeout_s:
                 raise LuxloopError(f"camera: no picture for {self._timeout_s:g} s")
 

@@ -85,16 +85,14 @@ def test_a_triggered_camera_gives_a_frame_an_exposure_also_after_a_pause(tmp_pat
 
 def test_pictures_that_never_end_do_not_hold_an_exposure_up(tmp_path: Path) -> None:
     given = params(tmp_path, "Ceaseless")
-    # beside such a camera other threads get their turn late, on a busy machine by some 0.5 s
-    patient = given.light.model_copy(update={"dark_after_s": 60.0})
-    timing = given.timing.model_copy(update={"wait_s": 2.0})
-    with rig_of(given.model_copy(update={"light": patient, "timing": timing})) as rig:
+    patient = given.light.model_copy(update={"dark_after_s": 60.0})  # the keeper gets its turn late beside such a camera
+    with rig_of(given.model_copy(update={"light": patient})) as rig:
         assert await_camera(rig)
         began_s = time.monotonic()
         _, taken = rig.expose(shine(0), 0.001)
         assert taken.image is None and "all pictures had lain in a queue" in taken.reason
         assert look(rig, 0.1)["late"] == 1
-        assert time.monotonic() - began_s < 10  # never where each picture is waited for
+        assert time.monotonic() - began_s < 2
 
 
 @pytest.mark.parametrize(
