@@ -11,13 +11,12 @@ from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.batch import drawing
 from luxloop.loop.studies.batch.copies import Copies, Taken
-from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import simulation_of
 from tests.refusal import refusal
 
 SMALL = [
-    *("functions.symbol.controller.name=thesis_pid", f"headlight.model={SMALL_LAMP}", "functions.symbol={ width_m=3.0, length_m=8.0 }"),
-    *("camera={ width_px=240, height_px=135, oversampling=1 }", "renderer=raycast", "seed=4", "steps=4"),
+    *("functions.symbol.controller.name=thesis_pid", "headlight.model=ssl-hd-lores", "functions.symbol={ width_m=3.0, length_m=8.0 }"),
+    *("camera={ width_px=240, height_px=135, oversampling=1 }", "renderer=raycast", "seed=3", "steps=4"),
 ]
 
 
@@ -25,7 +24,7 @@ SMALL = [
     scope="module",
     params=[
         (),
-        ("headlight={ model='ssl-hd-lores', lamps=['left', 'right'] }", "lighting.base.beam=low"),
+        ("headlight.lamps=['left', 'right']", "lighting.base.beam=low"),
         ("camera.noise=false",),
         ("functions.symbol.features.view=birdseye", "functions.symbol.extraction.edges=binary"),
         ("disturbances.ambient=[{ factor=3.0, from_step=1 }]", "disturbances.noise=[{ factor=1.5, until_step=3 }]"),
