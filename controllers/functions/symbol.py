@@ -40,7 +40,7 @@ class ConditionParams(SelectionParams):
 
 
 class ObserverParams(Params):
-    """The observer for whom the symbol looks like an upright picture facing them."""
+    """The observer to whom the symbol appears as an upright, undistorted picture (T 7.2.2)."""
 
     eye_m: tuple[Metres, Metres, Metres] = Field(
         DRIVER_M, description="eye position in the vehicle frame (x forward, y left, z up); by default the driver's"

@@ -25,8 +25,9 @@ _ON_HOST = ("quantity", "forced", "priority", "nearest", "shared")
 
 @dataclass(frozen=True)
 class Observer:
-    """Observers for whom symbols look undistorted (T 7.2.2): eyes and flying symbols' rectangles in m, `[..., P, 3]` each; active: `[P]`
-    bool.
+    """Observers to whom symbols appear undistorted (T 7.2.2): eyes and the rectangles of upright symbols in m, `[..., P, 3]` each.
+
+    active: `[P]` bool, which primitives have an observer.
     """
 
     eye: Tensor
@@ -48,8 +49,8 @@ class Primitives:
     primitives. priority: `[P]` int64, decides between forced hits and between coplanar ones. symbols: images `[h, w]` in 0..1, row 0 at v =
     0, or `[2, h, w]` with opacity; rays pass where it is below 1/2, except in masks. symbol_of: `[P]` int64, indices of images. nearest:
     `[P]` bool, sample images at the nearest texel instead of bilinearly. modules: names of the modules or lamps that may draw each; empty:
-    all. shared: `[P]` bool, the drawing modules share a setpoint in cd or lx instead of each giving the whole. observer: the observers for
-    whom symbols look undistorted, None without any.
+    all. shared: `[P]` bool, the drawing modules share a setpoint in cd or lx instead of each giving the whole. observer: the observers of
+    the primitives, None if none has one.
     """
 
     origin: Tensor

@@ -56,7 +56,7 @@ class RigPlant:
         else:
             taken_s = max(taken.sent_s, taken.arrived_s - self.rig.params.timing.latency_s)
             shown = None
-            if not given.whole:  # the exposure as the limits let it be
+            if not given.whole:  # the safety limits changed the exposure
                 lit = zip(given.shine.pictures, exposure.lights, strict=True)
                 lights = tuple(Utilisation(torch.from_numpy(u.ravel()).to(each.u)) for u, each in lit)
                 shown = replace(exposure, lights=lights, commands=given.shine.commands)

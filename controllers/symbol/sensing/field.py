@@ -73,7 +73,7 @@ def aim(shape: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], e
     """The plane `[4, 4]` on the ground for the symbol at its x and y; HERE if it is to look as on z = 0.
 
     shape: `[4]` of the road. eye: `[3]` m. The plane touches the road at the target if lamps light its middle, else at the nearest place
-    ahead where they light the whole symbol. Without such a place the target is kept.
+    ahead where they light the whole symbol, else at the target.
     """
     shape, eye = shape.detach().cpu().double(), eye.cpu().double()
     if symbol.target == "appearance" and _appears(shape, symbol, modules, eye):

@@ -19,7 +19,7 @@ from luxloop.perception.noise import FrameNoise
 SIZE = (256, 384)  # rows, columns of an example
 LEAST_HEIGHT_PX, LEAST_VISIBLE, LEAST_INSIDE = 16, 0.35, 0.4  # of objects that must be detected; others may be
 LEAST_LIT = 0.15  # least well-lit share of its visible part
-UNSEEN_LX = 0.12  # from all lamps and the sky; objects without such a share above this count as absent, to avoid confidence in the dark
+UNSEEN_LX = 0.12  # from all lamps and the sky; an object counts as absent if less than LEAST_LIT of it is brighter
 SPREAD = 0.09  # standard deviation of a middle's neighbourhood, as a share of the box
 
 
