@@ -60,7 +60,7 @@ class Baseline:
         self.matrix = self.headlight.matrix.to_scipy()
         weight = self.matrix.T.tocsr()
         self.weight = weight.multiply(1 / weight.sum(axis=1)).tocsr().astype(np.float32)
-        self.T_world_lamp = lamp.T_world_headlight.numpy()
+        self.T_world_lamp = lamp.T_body_headlight.numpy()
         y, z = (axis.numpy() for axis in self.headlight.tangents(projector.symbol.dtype, projector.symbol.device))
         rays = np.stack(np.broadcast_arrays(np.float32(1), y, z[:, None])).reshape(3, -1)
         self.rays = (self.T_world_lamp[:3, :3] @ rays).astype(np.float32)
@@ -68,7 +68,7 @@ class Baseline:
 
         triangles, view = world.scene.at(0.0), camera_view(self.camera).with_rows(self.camera.oversampling)
         surfaces = gbuffer(triangles, view, world.source.face_ids(triangles, view))
-        self.surfaces = Surfaces.of(surfaces, sees(triangles, lamp.T_world_headlight[:3, 3], surfaces.position.flatten(1)).numpy())
+        self.surfaces = Surfaces.of(surfaces, sees(triangles, lamp.T_body_headlight[:3, 3], surfaces.position.flatten(1)).numpy())
         self.flat = Surfaces.of(flat_road(view, simulation.scenario.surface.albedo))
         self.base = world.lit(0.0).base.numpy()
         self.limit = self.model.limit.numpy()

@@ -45,7 +45,7 @@ class TruePose:
     def __init__(self, simulation: Simulation) -> None:
         self.road, self.symbol, projector = simulation.scenario.road, simulation.scenario.symbol, simulation.symbol.projector
         self.motion, self.period_s = simulation.world.motion, 1 / simulation.scenario.rate_hz
-        lamps = [module.T_world_headlight[:3, 3].double() for module in projector.modules]
+        lamps = [module.T_body_headlight[:3, 3].double() for module in projector.modules]
         self.eyes = torch.stack([camera_view(simulation.scenario.camera).origin, *lamps], 1)
 
     def start(self, pose: Tensor) -> int:

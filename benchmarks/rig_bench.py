@@ -87,7 +87,7 @@ def rig(
     bench = simulated_setup(scenario, [module], partial(pinhole_px, pinhole, params), fine)
     T_world_screen = np.array([[0.0, 0, -1, SCREEN_M], [-1, 0, 0, 0], [0, 1, 0, 1], [0, 0, 0, 1]])
     to_camera = np.linalg.inv(camera_view(scenario.camera).T_world_view.numpy())
-    screen, lamp = (Pose.of(to_camera @ each) for each in (T_world_screen, module.T_world_headlight.numpy()))
+    screen, lamp = (Pose.of(to_camera @ each) for each in (T_world_screen, module.T_body_headlight.numpy()))
     truth = Geometry(pinhole, screen, lamp)
     if optics or gloss:
         gain, glass = _sheen(truth, params) if gloss else 1.0, Lens.of(optics or LensParams(), scenario.camera)

@@ -147,7 +147,7 @@ def bound(simulation: Simulation) -> tuple[Lights, dict[str, float]]:
 def _draw(simulation: Simulation, triangles: Triangles, module: DrawingModule) -> Utilisation:
     headlight = module.pixel_controller.headlight
     rows, cols = headlight.rows, headlight.cols
-    coarse, fine = (headlight.view(module.T_world_headlight, cols // n, rows // n) for n in (COARSE, 1))
+    coarse, fine = (headlight.view(module.T_body_headlight, cols // n, rows // n) for n in (COARSE, 1))
     inside = (_on_symbol(simulation, triangles, coarse.origin, coarse.rays().flatten(1)).abs() <= 1).all(-1)
     near_row, near_col = (_spread(inside.view(coarse.height, coarse.width).any(axis), n) for axis, n in ((1, rows), (0, cols)))
     near = near_row[:, None] & near_col

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from luxloop.controllers.geometry import Place
 from luxloop.controllers.pixels.primitives import Primitives, rectangle
-from luxloop.controllers.pixels.secondary import Light
+from luxloop.controllers.pixels.secondary import PotentialLight
 from luxloop.world.frames import View, inverse, transform
 from luxloop.world.headlight.lamp import Commands
 from luxloop.world.params import Distance, Length, NotNegative, Params, Real
@@ -111,7 +111,7 @@ class Situation:
     street_lit: bool = False
     symbols: dict[str, SymbolSource] = field(default_factory=dict)
     seen: CameraImage | None = None
-    lights: tuple[tuple[str, Light], ...] = ()
+    lights: tuple[tuple[str, PotentialLight], ...] = ()
     pitch_rad: float = 0.0
     commands: Commands = ()
     indicator: Indicator = "off"

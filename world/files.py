@@ -138,7 +138,7 @@ def shared_folder(folder: Path, journal: Path, mend: Callable[[], None]) -> Iter
         if not _lock(descriptor, fcntl.LOCK_SH) and not journal.exists():  # before a journal is created in a foreign folder
             raise _in_use(folder)
         fcntl.flock(descriptor, fcntl.LOCK_UN)  # waiting processes do not count as working
-        with turn(journal):
+        with lock_file(journal):
             if _lock(descriptor, fcntl.LOCK_EX):
                 mend()
             if not _lock(descriptor, fcntl.LOCK_SH):
@@ -147,7 +147,7 @@ def shared_folder(folder: Path, journal: Path, mend: Callable[[], None]) -> Iter
 
 
 @contextmanager
-def turn(file: Path) -> Iterator[None]:
+def lock_file(file: Path) -> Iterator[None]:
     """Lock a block to one process at a time; creates the lock file if missing. Raises OSError if that fails."""
     descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
     try:

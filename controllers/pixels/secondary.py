@@ -43,7 +43,7 @@ def scene_caster(triangles: Triangles, T_world_points: Tensor | None = None) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class Light:
+class PotentialLight:
     """The potential light of a module, of this or another car.
 
     full: `[rows, cols]` cd, all pixels on, undimmed. T_world_headlight: `[4, 4]`. intensity: dimming share 0..1.
@@ -54,12 +54,12 @@ class Light:
     T_world_headlight: Tensor
     intensity: float = 1.0
 
-    def under(self, command: ModuleCommand) -> "Light":
+    def under(self, command: ModuleCommand) -> "PotentialLight":
         """The light of the module turned and dimmed as commanded."""
         return replace(self, T_world_headlight=command.turn(self.T_world_headlight), intensity=command.intensity)
 
     @classmethod
-    def of(cls, headlight: Headlight, T_world_headlight: Tensor) -> "Light":
+    def of(cls, headlight: Headlight, T_world_headlight: Tensor) -> "PotentialLight":
         values = headlight.matrix.values
         return cls(headlight, headlight.light_texture(torch.ones(headlight.n_pixels).to(values)), T_world_headlight)
 
@@ -84,7 +84,7 @@ class Light:
         return self.T_world_headlight.new_tensor([[1.0, 0.0, 0.0], column, row]) @ inverse(self.T_world_headlight)[:3]
 
 
-def shares(lights: Sequence[Light], points: Tensor, occluded: Caster | None = None, asked: Tensor | None = None) -> Tensor:
+def shares(lights: Sequence[PotentialLight], points: Tensor, occluded: Caster | None = None, asked: Tensor | None = None) -> Tensor:
     """Share of a setpoint for each light, `[L, ..., N]`, in proportion to its potential illuminance there (T 7.5.1).
 
     The shares add up to 1 wherever any light reaches, so light is not doubled; an occluded light takes none, and the others compensate.
@@ -147,7 +147,7 @@ class SecondaryRays:
     street_lamps: lamps whose light is subtracted. occluded: caster of secondary rays; None: no occlusion.
     """
 
-    lights: tuple[tuple[str, Light], ...]
+    lights: tuple[tuple[str, PotentialLight], ...]
     own: int
     street_lamps: tuple[StreetLamp, ...] = ()
     occluded: Caster | None = None

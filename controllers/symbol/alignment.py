@@ -79,7 +79,7 @@ class Alignment:
         target = rectify(plane, sensor.model.symbol(projector.light(projector.target), crop))
         y, x = (-plane.axes.u.to(target)).expand_as(target), (-plane.axes.v.to(target))[:, None].expand_as(target)
         points = torch.stack([(p.y_m - y) * (2 / p.width_m), (p.x_m - x) * (2 / p.length_m)])
-        lamp = torch.stack([module.T_world_headlight[:3, 3] for module in projector.modules]).mean(0).to(target)
+        lamp = torch.stack([module.T_body_headlight[:3, 3] for module in projector.modules]).mean(0).to(target)
         camera = eye.view.origin.to(target)
         along, across = ((lamp[k] - at) / lamp[2] + (at - camera[k]) / camera[2] for k, at in enumerate((x, y)))
         per_m = torch.stack([across * (-2 / p.width_m), along * (-2 / p.length_m)])

@@ -102,7 +102,7 @@ class Feedback:
     def prepare(cls, params: FeedbackParams, sensor: SymbolSensor) -> "Feedback":
         """Measure the Jacobian."""
         target = sensor.projector.target
-        height = torch.stack([module.T_world_headlight[2, 3] for module in sensor.projector.modules]).mean()
+        height = torch.stack([module.T_body_headlight[2, 3] for module in sensor.projector.modules]).mean()
         m_per_z = float(target[0] / height) if params.dof == "z" else 1.0
         limits = [degree.limits(params, "shift" if degree.name == "x" else None) for degree in appearance.DEGREES]
         low, high = target.new_tensor(limits).unbind(-1)

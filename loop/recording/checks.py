@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from luxloop.loop.recording.summary import Summary, column
-from luxloop.loop.scenario.checks import By, CheckParams, Light
+from luxloop.loop.scenario.checks import Baseline, By, CheckParams
 from luxloop.world.errors import LuxloopError, did_you_mean
 
 ROUNDING_S = 1e-6  # of sums of periods and of clocks that count from 1970, at a window's ends
@@ -18,11 +18,11 @@ NOTHING = "nothing was there to check"
 class Checks:
     """The checks of a run, and the lights that run beside it: `step` after each of its steps, and `outcomes` at its end."""
 
-    def __init__(self, checks: Mapping[str, CheckParams], beside: Callable[[Light], Iterator[Summary]] | None) -> None:
+    def __init__(self, checks: Mapping[str, CheckParams], beside: Callable[[Baseline], Iterator[Summary]] | None) -> None:
         """beside: the run of another light, a step as plain values by the names of columns; None leaves out the checks that need one."""
         self._given = {name: check for name, check in checks.items() if beside or check.compare is None}
         self._runs = {} if beside is None else {light: beside(light) for light in lights(self._given)}
-        self._rows: dict[Light, list[Summary]] = {light: [] for light in self._runs}
+        self._rows: dict[Baseline, list[Summary]] = {light: [] for light in self._runs}
 
     def step(self) -> None:
         """One step of each light beside; what is rendered for the run serves them as well."""
@@ -35,7 +35,7 @@ class Checks:
         return {name: outcome(check, table, self._rows) for name, check in self._given.items()}
 
 
-def outcome(check: CheckParams, table: pa.Table, beside: Mapping[Light, Sequence[Summary]]) -> Summary:
+def outcome(check: CheckParams, table: pa.Table, beside: Mapping[Baseline, Sequence[Summary]]) -> Summary:
     """What has come of a check. beside: a row a step of the light that it compares with, by that light."""
     times_s, values, other = column(table, "time_s"), column(table, check.metric), None
     value = held = _value(check, times_s, values)
@@ -65,7 +65,7 @@ def ratio(value: float | None, other: float | None) -> float | None:
     return value / other if other else math.copysign(math.inf, value) if value else 1.0
 
 
-def lights(checks: Mapping[str, CheckParams]) -> tuple[Light, ...]:
+def lights(checks: Mapping[str, CheckParams]) -> tuple[Baseline, ...]:
     """Those that checks compare with, each once."""
     return tuple(dict.fromkeys(check.compare for check in checks.values() if check.compare is not None))
 

@@ -60,7 +60,7 @@ def light_at(simulation: "Simulation", time_s: float) -> list[ModuleLight]:
             module.headlight,
             u,
             command.intensity * module.headlight.light_texture(u),
-            command.turn(module.T_world_headlight),
+            command.turn(module.T_body_headlight),
         )
         for module, u, command in found
     ]
@@ -71,7 +71,7 @@ def modules_at(simulation: "Simulation", time_s: float) -> Iterator[tuple[str, T
     commands: Commands = simulation.lights_at(time_s)[1] if simulation.planner.commanding else ()
     modules = simulation.world.modules
     for module, command in zip(modules, commands or (REST,) * len(modules), strict=True):
-        yield module.name, command.turn(module.T_world_headlight).double().cpu()
+        yield module.name, command.turn(module.T_body_headlight).double().cpu()
 
 
 def write_light(simulation: "Simulation", time_s: float, file: Path, step_deg: float) -> list[Path]:

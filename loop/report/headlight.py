@@ -19,7 +19,7 @@ from luxloop.loop.report.styles import check_out, style_of
 from luxloop.loop.report.terminal import plural
 from luxloop.loop.report.views import SIDES, LitCar, Road, beside, birdseye, driver, grey, picture
 from luxloop.loop.scenario.model import HeadlightParams, Scenario
-from luxloop.loop.simulation.build_lamps import turn
+from luxloop.loop.simulation.build_lamps import turn_part
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
@@ -77,7 +77,7 @@ def show_headlight(  # noqa: PLR0913 (each value stands by itself)
         raise LuxloopError(f"visibility of {visibility_m:g} m: give a number greater than 0")
     name, patterns = _patterns(lamps, beam, title)
     mount = scenario.headlight if scenario else HeadlightParams()
-    car = LitCar({side: turn(lamp, side, mount) for side, lamp in lamps.items()}, patterns, mount).under(commands or {})
+    car = LitCar({side: turn_part(lamp, side, mount) for side, lamp in lamps.items()}, patterns, mount).under(commands or {})
     with rc_context(STYLE):
         write(_draw(car, name, view, style, Road(scenario, time_s), visibility_m), out)
     return out

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from luxloop.loop.rig.light import Light, Shine, check_reason
+from luxloop.loop.rig.light import LightDevice, Shine, check_reason
 from luxloop.loop.rig.params import LightParams
 
 STILL: Final = 0.8  # of the lamp's own time-out, within which light that was sent surely stands
@@ -23,7 +23,7 @@ class Keeper:
     times current light may have been interrupted.
     """
 
-    def __init__(self, light: Light, params: LightParams, loop_s: float, fault: Callable[[], str | None]) -> None:
+    def __init__(self, light: LightDevice, params: LightParams, loop_s: float, fault: Callable[[], str | None]) -> None:
         """loop_s: time without a beat after which the loop counts as dead. fault: returns why the lamp must be dark, or None."""
         self._light, self._params, self._loop_s, self._fault = light, params, loop_s, fault
         self._lock, self._wake, self._open = threading.RLock(), threading.Event(), True

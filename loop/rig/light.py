@@ -36,7 +36,7 @@ class Shine:
         return float(sum(u.sum() for u in self.net_pictures) / sum(u.size for u in self.pictures))
 
 
-class Light(Protocol):
+class LightDevice(Protocol):
     """One device. `show` with the same number again is the same light, sent to signal that the loop is alive."""
 
     def show(self, shine: Shine) -> str | None:

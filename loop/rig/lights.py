@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from luxloop.loop.rig.arrays import Grids
-from luxloop.loop.rig.light import KEY, Light, Shine, places
+from luxloop.loop.rig.light import KEY, LightDevice, Shine, places
 from luxloop.loop.rig.params import DdpLightParams, FilesLightParams, Lights, ScreenLightParams
 from luxloop.loop.rig.screen import ScreenLight, stack_pictures
 from luxloop.loop.rig.wire.ddp import Codes, codes_of, packets, send, sequence
@@ -115,7 +115,7 @@ class FilesLight:
             part.write_text(json.dumps(about), "utf-8")
 
 
-def open_light(params: Lights, grids: Grids) -> Light:
+def open_light(params: Lights, grids: Grids) -> LightDevice:
     """The light of a rig file. grids: rows and columns of the modules' pixels. Raises LuxloopError if it cannot be opened."""
 
     match params:
@@ -125,4 +125,4 @@ def open_light(params: Lights, grids: Grids) -> Light:
             return ScreenLight(params, grids)
         case FilesLightParams():
             return FilesLight(params)
-    return cast(Light, plugin.make(params.kind, KEY, {"grids": tuple(grids)}, params.options, METHODS))
+    return cast(LightDevice, plugin.make(params.kind, KEY, {"grids": tuple(grids)}, params.options, METHODS))

@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from luxloop.world.params import NotNegative, Params
 
-Light = Literal["open_loop", "full_light", "low_beam"]
+Baseline = Literal["open_loop", "full_light", "low_beam"]
 By = Literal["ratio", "difference", "recall"]
 
 
@@ -28,7 +28,7 @@ class CheckParams(Params):
     )
     at_least: float | None = Field(None, ge=-1e12, le=1e12, description="lower bound")
     at_most: float | None = Field(None, ge=-1e12, le=1e12, description="upper bound; one of the two bounds is required")
-    compare: Light | None = Field(
+    compare: Baseline | None = Field(
         None, description="light that runs beside it in the same world with the same noise; the bounds then hold what `by` says"
     )
     by: By = Field(

@@ -16,7 +16,7 @@ from luxloop.controllers.functions.planner import Functions, LightingParams
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
 from luxloop.controllers.pixels.jpo import JpoParams
 from luxloop.controllers.pixels.mrpc import MrpcParams
-from luxloop.loop.scenario.checks import CheckParams, Light
+from luxloop.loop.scenario.checks import Baseline, CheckParams
 from luxloop.loop.scenario.disturbances import DisturbanceParams
 from luxloop.loop.scenario.overrides import Override, is_file, overridden, resolve_paths, tables, texts
 from luxloop.loop.scenario.plant import ModuleSourceParams, PlantParams, SimulatedPlantParams
@@ -192,7 +192,7 @@ class Scenario(Params):
         return (1 - self.off_share, self.off_share) if self.symbols else (1.0,)
 
     @property
-    def lights(self) -> tuple[Light, ...]:
+    def lights(self) -> tuple[Baseline, ...]:
         """Those that checks may compare with."""
         return ("full_light", "low_beam", *(("open_loop",) if self.symbols else ()))
 

@@ -6,7 +6,7 @@ from typing import Any, cast
 import torch
 
 from luxloop.controllers.functions.planner import Planner
-from luxloop.controllers.pixels.secondary import Light
+from luxloop.controllers.pixels.secondary import PotentialLight
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.plant import RecordedPlantParams, RemotePlantParams, RigPlantParams, SimulatedPlantParams
 from luxloop.loop.scenario.shipped import find_file
@@ -47,7 +47,7 @@ def build(scenario: Scenario, device: torch.device, cache: PartCache) -> dict[st
     return {
         "planner": planner,
         "modules": modules,
-        "lights": tuple((module.name, Light.of(module.headlight, module.T_world_module)) for module in modules),
+        "lights": tuple((module.name, PotentialLight.of(module.headlight, module.T_world_module)) for module in modules),
         "view": view,
         "plant": plant,
         "pipeline": pipeline,

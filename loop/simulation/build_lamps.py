@@ -52,7 +52,7 @@ def _of_side(side: Side, params: HeadlightParams, device: torch.device) -> Seque
     scale = 1.0 if params.intensity_cd is None else params.intensity_cd / peak_cd
     mounts = []
     for module in modules:
-        rest, number = turn(module, side, params), [each.name for each in lamp.modules].index(module.name)
+        rest, number = turn_part(module, side, params), [each.name for each in lamp.modules].index(module.name)
         T_world_module = (T_world_lamp(side, params) @ rest.T_lamp_module).to(device)
         light = module.headlight.scale(scale).to(device)
         mounts.append(MountedModule(side, lamp, number, light, T_world_module, rest.swivel_deg, rest.level_deg))
@@ -64,7 +64,7 @@ def T_world_lamp(side: str, params: HeadlightParams) -> Tensor:
     return pose_from_degrees((0.0, (0.5 if side == "left" else -0.5) * params.distance_m, params.height_m))
 
 
-def turn(part: PartOfLamp, side: str, params: HeadlightParams) -> PartOfLamp:
+def turn_part(part: PartOfLamp, side: str, params: HeadlightParams) -> PartOfLamp:
     """A lamp or module turned as a scenario says. Raises LuxloopError that names the lamp's side where it cannot be turned so far."""
     try:
         return part.turn(params.swivel_deg, params.level_deg)

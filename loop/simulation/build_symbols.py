@@ -148,7 +148,7 @@ def _pixels_there(projector: Projector) -> str:
 
     symbol, module = projector.params, min(projector.modules, key=lambda each: math.prod(size_deg(each)))
     across, down = size_deg(module)
-    height = max(float(module.T_world_headlight[2, 3]), 0.1)  # a mount may put it below the road
+    height = max(float(module.T_body_headlight[2, 3]), 0.1)  # a mount may put it below the road
     distance, half = math.hypot(symbol.x_m, symbol.y_m), 0.5 * symbol.length_m
     width_deg = math.degrees(2 * math.atan2(0.5 * symbol.width_m, distance))
     length_deg = math.degrees(math.atan2(height, distance - half) - math.atan2(height, distance + half))

@@ -133,7 +133,7 @@ class ControlledSymbol:
         return self.projector.footprint(projection, self.sensor.model.eye.view, self.sensor.params.footprint_margin_m)
 
 
-def turn(
+def choose_measured(
     symbols: Mapping[str, ControlledSymbol], states: Mapping[str, SymbolState], projections: Mapping[str, ProjectionCommand]
 ) -> tuple[str, ...]:
     """Names of the symbols to be measured together: those that have waited longest, no two in one part of the image."""

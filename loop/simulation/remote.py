@@ -278,4 +278,4 @@ def _welcome(scenario: Scenario, params: RemotePlantParams, modules: Sequence[La
 def _module(module: LampModule) -> dict[str, Any]:
     names = ("rows", "cols", "left", "right", "bottom", "top", "pixel_rows", "pixel_cols", "peak_cd")
     facts = {name: getattr(module.headlight, name) for name in names}
-    return {"name": module.name, **facts, "T_body_module": module.T_world_headlight.double().flatten().tolist()}
+    return {"name": module.name, **facts, "T_body_module": module.T_body_headlight.double().flatten().tolist()}

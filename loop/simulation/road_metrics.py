@@ -10,7 +10,7 @@ from torch.nn.functional import max_pool2d
 from luxloop.controllers.functions.planner import Plan
 from luxloop.controllers.pixels.primitives import E_V, I_V, U_ABS, U_REL
 from luxloop.controllers.pixels.rthc import trace
-from luxloop.controllers.pixels.secondary import Light
+from luxloop.controllers.pixels.secondary import PotentialLight
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
 from luxloop.loop.simulation.lamps import ShiningModule
@@ -111,7 +111,7 @@ def over_setpoint(modules: Sequence[ShiningModule], plan: Plan, lights: Sequence
         lamp = module.headlight
 
         def on_road(texture: Tensor, module: ShiningModule = module) -> Tensor:
-            return Light(module.headlight, texture, module.T_world_module, module.intensity).possible(points)
+            return PotentialLight(module.headlight, texture, module.T_world_module, module.intensity).possible(points)
 
         beam = lamp.light_texture(module.base(plan))
         full = lamp.light_texture(torch.ones_like(module.flux))

@@ -13,18 +13,18 @@ from torch import Tensor
 from luxloop.controllers.functions.base_beams import BaseBeamParams, BeamName
 from luxloop.controllers.functions.commands import compose
 from luxloop.controllers.functions.planner import Planner
-from luxloop.controllers.pixels.secondary import Light
+from luxloop.controllers.pixels.secondary import PotentialLight
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.situation import CameraImage, ScheduleParams, Situation, TrackedObject
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import SymbolController
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
-from luxloop.loop.scenario.checks import Light as OtherLight
+from luxloop.loop.scenario.checks import Baseline
 from luxloop.loop.scenario.model import Scenario, only
 from luxloop.loop.scenario.studio_window import StudioWindow
 from luxloop.loop.simulation.build import build
 from luxloop.loop.simulation.check import at_rest
-from luxloop.loop.simulation.controlled import ControlledSymbol, turn
+from luxloop.loop.simulation.controlled import ControlledSymbol, choose_measured
 from luxloop.loop.simulation.detection import DetectionPipeline
 from luxloop.loop.simulation.evaluator import Evaluation, Evaluator
 from luxloop.loop.simulation.lamps import LampDriver, ShiningModule, attitude, in_reach, mean_powers
@@ -54,7 +54,7 @@ from luxloop.world.frames import View, inverse
 from luxloop.world.headlight.lamp import REST, Commands
 from luxloop.world.rendering.rasterise import check_process
 
-BEAMS: Mapping[OtherLight, BeamName] = {"full_light": "full", "low_beam": "low"}
+BEAMS: Mapping[Baseline, BeamName] = {"full_light": "full", "low_beam": "low"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class Simulation:
     device: torch.device
     planner: Planner
     modules: tuple[ShiningModule, ...]
-    lights: tuple[tuple[str, Light], ...]
+    lights: tuple[tuple[str, PotentialLight], ...]
     view: View
     plant: Plant
     pipeline: DetectionPipeline | None = None
@@ -127,7 +127,7 @@ class Simulation:
         """Source of the simulated plant's G-buffers, else what the plant is called."""
         return self.scenario.plant.kind if self.truth is None else self.truth.source.name
 
-    def lit_by(self, light: OtherLight) -> "Simulation":
+    def lit_by(self, light: Baseline) -> "Simulation":
         """The same world with the same noise: in open loop, or lit by nothing but a beam, all pixels on or the low beam.
 
         Raises LuxloopError where there is no such beam, and on a plant that is not the simulated world.
@@ -241,7 +241,7 @@ class Simulation:
     def _plan(self, state: SimulationState, sense: Sense) -> StepPlan:
         """Primitives of functions and controllers: all of them, and without the symbols that are measured in this step."""
         projections, drawn = self._primitives(state, sense.now, sense.ego)
-        measured = turn(self.controlled, state.symbols, projections)
+        measured = choose_measured(self.controlled, state.symbols, projections)
         plans = [self.planner.compose(sense.now, state.functions, drawn)]
         if measured:
             plans.append(self.planner.compose(sense.now, state.functions, without(drawn, measured)))

@@ -20,14 +20,14 @@ from luxloop.world.light.illumination import LastTextures, TextureSource
 
 @dataclass(frozen=True, eq=False)
 class LampModule:
-    """A module as it shines. T_world_headlight: `[4, 4]`, where the vehicle stands at its start.
+    """A module as it shines. T_body_headlight: `[4, 4]`, where the vehicle stands at its start.
 
     measured: where its light textures come from if not from the headlight's matrix.
     """
 
     name: str
     headlight: Headlight
-    T_world_headlight: Tensor
+    T_body_headlight: Tensor
     measured: TextureSource | None = None
 
     @cached_property
@@ -55,13 +55,13 @@ def true_modules(modules: Iterable[LampModule], aim: Iterable[AimParams], wear: 
     for number, module in enumerate(modules):
         errors = [each for each in aim if each.lamp is None or module.name.startswith(f"{each.lamp} ")]
         headlight = wear_out(module.headlight, module.name, wear, number)
-        true.append(replace(module, headlight=headlight, T_world_headlight=misaim(module.T_world_headlight, errors)))
+        true.append(replace(module, headlight=headlight, T_body_headlight=misaim(module.T_body_headlight, errors)))
     return tuple(true)
 
 
-def misaim(T_world_headlight: Tensor, errors: Iterable[AimParams]) -> Tensor:
+def misaim(T_body_headlight: Tensor, errors: Iterable[AimParams]) -> Tensor:
     """A pose `[4, 4]` moved and turned by errors, about its own origin and the vehicle's axes."""
-    T = T_world_headlight.clone()
+    T = T_body_headlight.clone()
     for aim in errors:
         if aim.z_m and T[2, 3] > 0 >= T[2, 3] + aim.z_m:
             raise LuxloopError(f"disturbances.aim.z_m: the lamp is at {float(T[2, 3]) + aim.z_m:.3g} m, not above the road; lower it less")

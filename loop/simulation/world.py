@@ -77,7 +77,7 @@ class LitScene:
     def rendered(self) -> GBuffer:
         """Surfaces, with `samples` rows a pixel."""
         part = self.part and (slice(self.samples * self.part[0].start, self.samples * self.part[0].stop), self.part[1])
-        return self.render(self.triangles, self.eye.with_rows(self.samples), part).to(self.modules[0].T_world_headlight.device)
+        return self.render(self.triangles, self.eye.with_rows(self.samples), part).to(self.modules[0].T_body_headlight.device)
 
     @cached_property
     def surfaces(self) -> GBuffer:
@@ -115,7 +115,7 @@ class LitScene:
 
     def _transport(self, number: int, command: ModuleCommand) -> LightTransport:
         module, width = self.modules[number], self.view.width
-        T_body_headlight = command.turn(module.T_world_headlight)
+        T_body_headlight = command.turn(module.T_body_headlight)
         T_world_headlight = self.vehicle.T_world_body.to(T_body_headlight) @ T_body_headlight
         if not self.direct:
             surface = lit_surface(self.rendered, module.headlight, T_world_headlight, self.triangles)
@@ -293,7 +293,7 @@ class World:
         self.motion, self.metered, self.given = motion, metered, given
         self.moving = motion is not STANDING or scene.moves
         self.view = camera_view(camera)
-        self.device = self.modules[0].T_world_headlight.device
+        self.device = self.modules[0].T_body_headlight.device
         self._lit: OrderedDict[Any, LitScene] = OrderedDict()
         self._triangles = NOTHING  # the newest, whose bodies serve again where they have not moved
 

@@ -39,7 +39,7 @@ from luxloop.loop.studies.tune import (
 )
 from luxloop.perception.extraction import ExtractionParams, ExtractionStatus
 from luxloop.world.errors import LuxloopError, locate
-from luxloop.world.files import turn
+from luxloop.world.files import lock_file
 
 NEAR = 0.02  # of the symbol's size: approximate error of a settled symbol
 
@@ -130,7 +130,7 @@ def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) 
         shown = trial_count(study)
         with progress("iterations", iterations, min(shown, iterations)) as advance:
             while True:
-                with turn(out / STUDY):  # each iteration uses all earlier ones, so processes take turns
+                with lock_file(out / STUDY):  # each iteration uses all earlier ones, so processes take turns
                     space = begin(study, task, out, execute)
                     if trial_count(study) >= iterations:
                         break

@@ -216,8 +216,8 @@ def runs(scenarios: Sequence[Scenario], device: str = "cpu") -> list[Run]:
 @dataclass(frozen=True, eq=False)
 class _Step:
     """One step of B copies. measurements: of the frames that came, one a copy. cut: `[B, 4]`, see
-    `luxloop.controllers.symbol.sensing.field`. sums: `[B, m, 2]`, see `luxloop.loop.studies.batch.copies.Light`. metrics: None in a step
-    without evaluation.
+    `luxloop.controllers.symbol.sensing.field`. sums: `[B, m, 2]`, see `luxloop.loop.studies.batch.copies.SymbolLight`. metrics: None in a
+    step without evaluation.
     """
 
     projection: ProjectionCommand

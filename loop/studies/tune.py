@@ -28,7 +28,7 @@ from luxloop.loop.studies.jobs import Executor, bundles, reason
 from luxloop.loop.studies.objective import Objective
 from luxloop.loop.studies.ranges import Range, Values, value_of, with_values
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import shared_folder, turn, writing
+from luxloop.world.files import lock_file, shared_folder, writing
 
 STUDY = "study.log"
 FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
@@ -47,7 +47,7 @@ def study_in(out: Path, digest: str) -> Iterator[optuna.Study]:
     warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
     remedy = "check the folder, its permissions and the room left, or give another with --out"
     with writing(file, remedy), shared_folder(out, file, partial(_mend, file, digest)):
-        with turn(file):
+        with lock_file(file):
             study = _open(file, digest)
         yield study
 
@@ -195,7 +195,7 @@ def tune(task: Task, out: Path, trials: int, execute: Executor) -> Tuning:
     with study_in(out, task.digest) as study, keeping(out, lambda: f"{trial_count(study)} of {trials} trials"):
         shown = trial_count(study)
         with progress("trials", trials, min(shown, trials)) as advance:
-            with turn(out / STUDY):
+            with lock_file(out / STUDY):
                 space = begin(study, task, out, execute)
             while asked := _next_trials(study, space, task, out, trials):
                 try:
@@ -215,7 +215,7 @@ def _next_trials(study: optuna.Study, space: dict[str, BaseDistribution], task: 
     """The next trials up to a number of them: all random ones at once, which depend on no result, then one by one; none if all are
     finished or running.
     """
-    with turn(out / STUDY):
+    with lock_file(out / STUDY):
         number = len(study.get_trials(deepcopy=False, states=(*FINISHED, TrialState.RUNNING)))
         asked = []
         for each in range(number, min(max(number + 1, STARTUP), trials)):

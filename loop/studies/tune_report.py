@@ -16,7 +16,7 @@ from luxloop.loop.studies.gradient import tune_by_gradient
 from luxloop.loop.studies.jobs import local
 from luxloop.loop.studies.tune import STUDY, Task, Tuning, note_batches, tune
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import atomic_write, turn
+from luxloop.world.files import atomic_write, lock_file
 
 BEST, REPORT, PICTURE = "best.toml", "report.md", "report.png"
 LEAST_FOR_IMPORTANCES = 10  # trials
@@ -46,7 +46,7 @@ def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradie
 
 def write(tuned: Tuning, out: Path) -> None:
     """Write best values, page and picture into a folder. Raises LuxloopError if they cannot be written."""
-    with turn(out / STUDY):  # of processes that share a study, the last to write then has all trials
+    with lock_file(out / STUDY):  # of processes that share a study, the last to write then has all trials
         values, cost = tuned.best
         head = (
             f"# {tuned.task.objective} of {', '.join(each.name for each in tuned.task.scenarios)}: {tuned.given_cost:.4g} -> {cost:.4g}\n"

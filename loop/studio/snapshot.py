@@ -65,7 +65,7 @@ def snapshot(
     vehicle = (STANDING if world is None else world.motion).at(time_s)
     T_world_ground, T_world_body = vehicle.T_world_ground, vehicle.T_world_body
     spotlights = () if world is None else world.scene.spotlights_at(time_s)
-    resting = [each.T_world_headlight for each in world.modules] if world else [each.T_world_module for each in simulation.modules]
+    resting = [each.T_body_headlight for each in world.modules] if world else [each.T_world_module for each in simulation.modules]
     commands = result.now.commands or (REST,) * len(resting)
     lights = tuple(
         _reuse(command.intensity * u if command.intensity != 1 else u, None if before is None else before.lights[k])

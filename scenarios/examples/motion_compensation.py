@@ -33,7 +33,7 @@ class MotionCompensation:
         self.target, self.middle = sensor.projector.target, sensor.model.target[:2]
         self.view = sensor.model.eye.view  # of a body that rests
         self.camera = self.view.origin.to(self.target)
-        self.lamp = torch.stack([module.T_world_headlight[:3, 3] for module in sensor.projector.modules]).mean(0).to(self.target)
+        self.lamp = torch.stack([module.T_body_headlight[:3, 3] for module in sensor.projector.modules]).mean(0).to(self.target)
         sight = self.sight(self.middle)
         self.offset = (self.camera - self.camera[2] / sight[2] * sight)[:2] - self.target[:2]  # of its centroid from its centre
 

@@ -283,7 +283,7 @@ def _camera_pixel(index: Tensor, width: int, oversampling: int) -> Tensor:
 LightTransport = Transport | DirectTransport
 
 
-class Light(Protocol):
+class PixelUtilisation(Protocol):
     """Utilisations u `[..., n_p]` in 0..1; band: all pixellights outside of it are dark, None where that is not known."""
 
     @property
@@ -293,7 +293,9 @@ class Light(Protocol):
     def band(self) -> slice | None: ...
 
 
-def added_light(transports: Sequence[LightTransport], lights: Sequence[Light], base: Tensor, rows: slice | None = None) -> Tensor:
+def added_light(
+    transports: Sequence[LightTransport], lights: Sequence[PixelUtilisation], base: Tensor, rows: slice | None = None
+) -> Tensor:
     """Luminance `[..., height, width]` in cd/m^2 of a camera's pixels: a base `[height, width]` plus one light for each transport.
 
     rows: of the image, which alone are returned and computed; None for all of them.

@@ -196,7 +196,7 @@ def region_around(sensor: SymbolSensor) -> Region:
 def shown_on(relief: HeightMap, sensor: SymbolSensor, T_ground_plane: Tensor = HERE) -> ProjectionCommand:
     """The symbol for a known road over a plane at `[4, 4]`, drawn by a standing vehicle."""
     symbol = sensor.projector.params
-    lamps = torch.stack([module.T_world_headlight[:3, 3] for module in sensor.projector.modules], 1).to(T_ground_plane)
+    lamps = torch.stack([module.T_body_headlight[:3, 3] for module in sensor.projector.modules], 1).to(T_ground_plane)
     return drawn_on(relief, transform(inverse(T_ground_plane), lamps).T, symbol, T_ground_plane, symbol.target == "place")
 
 

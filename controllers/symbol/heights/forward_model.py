@@ -101,7 +101,7 @@ class ForwardModel:
         ground = eye[:, None, None] - rays * (eye[2] / rays[2])  # g, where rays meet z = 0, [3, H, w] m
         lamps = []
         for module in projector.modules:
-            T_ground_headlight = T_on @ module.T_world_headlight.cpu().double()
+            T_ground_headlight = T_on @ module.T_body_headlight.cpu().double()
             T, origin = inverse(T_ground_headlight), T_ground_headlight[:3, 3]  # T_headlight_ground [4, 4], [3] m
             on_plane = torch.einsum("ij,jhw->ihw", T[:3, :3], ground) + T[:3, 3, None, None]
             # Derivative by z of the line of sight g + (e - g) z / e_z in the lamp's frame, [3, H, w].

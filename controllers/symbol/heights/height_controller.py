@@ -94,7 +94,7 @@ class HeightController:
         self.cached_draw = keeping(1, self._draw)
         self.registration = self.over(HERE)[1]
         self.nothing = self._nothing(self.registration)  # the empty road map of a standing vehicle
-        lamps = torch.stack([module.T_world_headlight[:3, 3].cpu().double() for module in self.projector.modules])
+        lamps = torch.stack([module.T_body_headlight[:3, 3].cpu().double() for module in self.projector.modules])
         self.ends = torch.stack([camera_view(sensor.camera).origin, *lamps], 1)  # in the body frame
         self.in_flight = sensor.camera.latency_steps + sensor.camera.latency_spread_steps + 2
         self.tried = torch.linspace(-params.highest_m, params.highest_m, HEIGHTS, device=self.projector.symbol.device)

@@ -114,7 +114,7 @@ def _lit(planes: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule],
     half_x, half_y = symbol.length_m / 2, symbol.width_m / 2
     spots = planes.new_tensor([[0, half_x, half_x, -half_x, -half_x], [0, half_y, -half_y, half_y, -half_y], [0] * 5])
     inside = _in_field(transform(planes, spots + spots.new_tensor([[symbol.x_m], [symbol.y_m], [0.0]])), modules)
-    ends = torch.stack([eye, *(module.T_world_headlight[:3, 3].cpu().double() for module in modules)], 1)
+    ends = torch.stack([eye, *(module.T_body_headlight[:3, 3].cpu().double() for module in modules)], 1)
     over = transform(inverse(planes), ends)[:, 2] > LEAST_HEIGHT_M
     return inside & over.all(-1, keepdim=True)
 

@@ -110,7 +110,7 @@ def flat_model(
     transports = []
     for module in projector.modules:
         headlight = module.pixel_controller.headlight
-        transports.append(transport(lit_surface(ground, headlight, module.T_world_headlight), headlight, view.width, samples))
+        transports.append(transport(lit_surface(ground, headlight, module.T_body_headlight), headlight, view.width, samples))
     ambient = average_rows(ambient_luminance(ground, ambient_lx), samples)
     beams = added_light(transports, projector.resting, torch.zeros_like(ambient))
     limit = noise_limit(ambient + beams, camera, params)

@@ -140,16 +140,16 @@ class StartParams(Params):
 
 @dataclass(frozen=True)
 class DrawingModule:
-    """A lamp module that draws: its pixel controller and its pose `T_world_headlight` `[4, 4]`."""
+    """A lamp module that draws: its pixel controller and its pose `T_body_headlight` `[4, 4]`."""
 
     name: str
     pixel_controller: PixelController
-    T_world_headlight: Tensor
+    T_body_headlight: Tensor
 
     @cached_property
     def borders(self) -> Tensor:
         """Planes `[4, 4]` through the left, right, top and bottom borders of its field: normals outwards, and their distances in m."""
-        light, T = self.pixel_controller.headlight, self.T_world_headlight.double()
+        light, T = self.pixel_controller.headlight, self.T_body_headlight.double()
         sides = [[-light.left, 1, 0], [light.right, -1, 0], [-light.top, 0, 1], [light.bottom, 0, -1]]
         normals = T.new_tensor(sides) @ T[:3, :3].T
         return torch.cat([normals, -normals @ T[:3, 3:]], 1)
@@ -239,13 +239,13 @@ class Projector:
         """The drawing on z = 0 or on a rectangle tangent to the road of its shape."""
         if projection.shape is None:
             return projection
-        p, lamps = self.params, torch.stack([module.T_world_headlight[:3, 3] for module in self.modules]).to(self.symbol)
+        p, lamps = self.params, torch.stack([module.T_body_headlight[:3, 3] for module in self.modules]).to(self.symbol)
         return lift(projection, (p.length_m, p.width_m), projection.shape, p.x_m, self.eye.to(self.symbol), lamps)
 
     def _cast(self, primitives: Iterable[Primitives]) -> tuple[Utilisation, ...]:
         """Of one primitive a module."""
         return tuple(
-            module.pixel_controller.utilisation(primitive, module.T_world_headlight)
+            module.pixel_controller.utilisation(primitive, module.T_body_headlight)
             for module, primitive in zip(self.modules, primitives, strict=True)
         )
 
@@ -279,7 +279,7 @@ class Projector:
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Image coordinates `[2, n, N]` px of n possible ends of the light to N corners, and whether they lie ahead `[n, N]`."""
         corners = self.rectangle(projection).corners().detach().reshape(-1, 3).T.cpu().double().numpy()
-        origins = np.stack([module.T_world_headlight[:3, 3:].double().cpu().numpy() for module in self.modules])
+        origins = np.stack([module.T_body_headlight[:3, 3:].double().cpu().numpy() for module in self.modules])
         rays, heights = corners - origins, np.array([-margin_m, margin_m])  # [m, 3, N], [2]
         if shape is None:
             with np.errstate(divide="ignore", invalid="ignore"):

@@ -133,7 +133,7 @@ class Relocaliser:
     def _patterns(self, textures: Sequence[Tensor]) -> list[Pattern]:
         """Patterns of all modules that emit light."""
         found = (
-            Pattern.of(texture, module.pixel_controller.headlight, module.T_world_headlight)
+            Pattern.of(texture, module.pixel_controller.headlight, module.T_body_headlight)
             for module, texture in zip(self.modules, textures, strict=True)
         )
         return [pattern for pattern in found if pattern is not None]

@@ -180,7 +180,7 @@ def calibrate_poses(
         nominal = Nominal.of(number, module.name, module.headlight)
         places = _places(shots, nominal, sizes)
         seen = _observation(nominal, places, board)
-        lamp = Pose.of(T_camera_world @ module.T_world_headlight.double().cpu().numpy())
+        lamp = Pose.of(T_camera_world @ module.T_body_headlight.double().cpu().numpy())
         geometry[module.name] = adjust(camera, start, lamp, seen)
         found[module.name] = float(np.isfinite(places.u).mean())
     last = next(iter(geometry.values()))
@@ -263,7 +263,7 @@ def _screen(camera: CameraModel, screen: Corners | float, T_camera_world: Array)
 
 def overrides(calibration: Calibration, module: LampModule) -> dict[str, float]:
     """Keys of the scenario's camera with the calibrated values, relative to the scenario's lamp pose. module: of that lamp."""
-    T = module.T_world_headlight.double().cpu().numpy() @ np.linalg.inv(calibration.modules[module.name].matrix)
+    T = module.T_body_headlight.double().cpu().numpy() @ np.linalg.inv(calibration.modules[module.name].matrix)
     yaw_deg, pitch_deg, roll_deg = Rotation.from_matrix(T[:3, :3] @ ISO).as_euler("ZYX", degrees=True)
     hfov_deg = 2 * np.degrees(np.arctan(calibration.camera.width / 2 / calibration.camera.matrix[0, 0]))
     values = zip(OVERRIDES, (*T[:3, 3], roll_deg, pitch_deg, yaw_deg, hfov_deg), strict=True)

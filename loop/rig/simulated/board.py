@@ -124,7 +124,7 @@ def readings(rig_scene: RigScene) -> list[tuple[float, float, float]]:
             side = np.cross(normal, [0.0, 0.0, 1.0] if abs(normal[2]) < 0.9 else [0.0, 1.0, 0.0])
             side /= np.linalg.norm(side)
             points = point + sensor(side, np.cross(normal, side))
-            modules = ((each.headlight, T_world_body @ each.T_world_headlight.double().numpy()) for each in rig_scene.modules)
+            modules = ((each.headlight, T_world_body @ each.T_body_headlight.double().numpy()) for each in rig_scene.modules)
             found.append((sum(lux(light, T, points, normal) for light, T in modules), *_image_place(rig_scene, row, column)))
     return found
 

@@ -120,7 +120,7 @@ class SimulatedRig:
         T_world_camera = rig_scene.world.view.T_world_view.tolist()
         camera = {"width_px": lens.width, "height_px": lens.height, "matrix": lens.matrix.tolist(), "T_world_camera": T_world_camera}
         modules = [
-            {"name": each.name, "pixel_rows": rows, "pixel_cols": columns, "T_world_headlight": each.T_world_headlight.tolist()}
+            {"name": each.name, "pixel_rows": rows, "pixel_cols": columns, "T_world_headlight": each.T_body_headlight.tolist()}
             for each, (rows, columns) in zip(rig_scene.modules, self._grids, strict=True)
         ]
         return {"scenario": self.scenario.name, "camera": camera, "modules": modules, "faults": self.faults.model_dump(mode="json")}

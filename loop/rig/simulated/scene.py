@@ -77,7 +77,7 @@ class RigScene:
         if not self.screen.gloss:
             return None
         T_world_body = scene.vehicle.T_world_body
-        lamp = torch.stack([(T_world_body @ each.T_world_headlight.to(T_world_body))[:3, 3] for each in self.modules]).mean(0)
+        lamp = torch.stack([(T_world_body @ each.T_body_headlight.to(T_world_body))[:3, 3] for each in self.modules]).mean(0)
         return gloss(self.screen, scene.surfaces.position, scene.surfaces.normal, lamp, scene.view.origin)
 
 

@@ -107,7 +107,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Light:
+class SymbolLight:
     """Luminances in cd/m^2 that the camera sees of B projections, without noise.
 
     part: of the image, with all light of the symbols. footprints: where each is looked for; windows: as large
@@ -141,10 +141,10 @@ class Copies:
         beams = [module.base(plan) for module in simulation.modules]
         self.resting = tuple(Utilisation(beam, None if bool(beam.any()) else slice(0, 0)) for beam in beams)
         primitive = self.projector.primitive(self.projector.target)
-        self.windowed = all(serves(each.pixel_controller, primitive, each.T_world_headlight) for each in self.projector.modules)
+        self.windowed = all(serves(each.pixel_controller, primitive, each.T_body_headlight) for each in self.projector.modules)
         self._part: Part | None = None
 
-    def show(self, projection: ProjectionCommand | Tensor) -> Light:
+    def show(self, projection: ProjectionCommand | Tensor) -> SymbolLight:
         """The light of the symbol for B projections, or for poses `[B, 4]`: x, y in m, roll, pitch in rad."""
         check_process()
         if isinstance(projection, Tensor):
@@ -159,7 +159,7 @@ class Copies:
         if self.windowed:  # on the parts of light texture, lamp and image that the symbols touch
             modules = self.projector.modules
             rays = [
-                rays_at(cast(Ssc, module.pixel_controller), primitives, module.T_world_headlight)
+                rays_at(cast(Ssc, module.pixel_controller), primitives, module.T_body_headlight)
                 for module, primitives in zip(modules, self.projector.primitives(projection), strict=True)
             ]
             part = self._reach(needed, [ray.window for ray in rays])
@@ -177,9 +177,9 @@ class Copies:
                 seen = [multiply(roads[k], u).view(part.resting.shape) for roads, u in zip(part.roads, above, strict=True)]
                 images.append(sum(seen[1:], seen[0]))
             sums.append(torch.stack([u @ each for u, each in zip(lights, weights, strict=True)]))
-        return Light(projection, part, footprints, windows, torch.stack(added), torch.stack(flat), torch.stack(sums), drawn)
+        return SymbolLight(projection, part, footprints, windows, torch.stack(added), torch.stack(flat), torch.stack(sums), drawn)
 
-    def measure(self, light: Light, frames: Sequence[Taken], *, quantise: bool = True) -> list[Measurement]:
+    def measure(self, light: SymbolLight, frames: Sequence[Taken], *, quantise: bool = True) -> list[Measurement]:
         """What the symbol's sensor sees of each copy in its own footprint. frames: of each copy. quantise: False leaves digital numbers
         unrounded, for gradients.
         """
@@ -192,14 +192,14 @@ class Copies:
                 seen[k] = each
         return seen
 
-    def evaluate(self, light: Light) -> Metrics:
+    def evaluate(self, light: SymbolLight) -> Metrics:
         """Metrics `[B]` of the symbol on the road."""
         evaluator, crop = self.symbol.evaluator, light.part.crop
         assert evaluator is not None
         found = [evaluate(each, evaluator.plane, evaluator.goal, crop.u_start, crop.v_start) for each in light.added.split(TOGETHER)]
         return Metrics(*(torch.cat(each) for each in zip(*(vars(each).values() for each in found), strict=True)))
 
-    def finds_another_road(self, light: Light, k: int, taken: Taken) -> bool:
+    def finds_another_road(self, light: SymbolLight, k: int, taken: Taken) -> bool:
         """Whether a single run finds another road than the plane z = 0 in the frames of the k-th copy, as `Lifting` decides."""
         height, width = self.view.base.shape
         on = self._resting.clone()
@@ -217,7 +217,7 @@ class Copies:
         """Luminance `[height, width]` in cd/m^2 of everything but the symbols."""
         return added_light(self.view.transports, self.resting, self.view.base)
 
-    def _look(self, light: Light, chosen: Sequence[int], frames: Sequence[Taken], quantise: bool) -> list[Measurement]:
+    def _look(self, light: SymbolLight, chosen: Sequence[int], frames: Sequence[Taken], quantise: bool) -> list[Measurement]:
         """Measurements of some copies at once: the sensor sees their windows as crops at the place of the first."""
         part, windows = light.part, [light.windows[k] for k in chosen]
         parts, own = [], []  # of each copy: on and off frame, light and threshold of the flat road; its footprint in the window

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from luxloop.controllers.pixels.jpo import Jpo, JpoParams
 from luxloop.controllers.pixels.primitives import Primitives, concatenate, rectangle
-from luxloop.controllers.pixels.secondary import Light, SecondaryRays
+from luxloop.controllers.pixels.secondary import PotentialLight, SecondaryRays
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.perception.metrics import mae, rmse
 from luxloop.world.frames import pose_from_degrees
@@ -128,7 +128,7 @@ def test_rays_are_cast_once(hd84: Headlight) -> None:
         asked.append(points.shape[-1])
         return torch.zeros(points.shape[-1], dtype=torch.bool)
 
-    secondary = SecondaryRays((("left", Light.of(hd84, T_LAMP)),), 0, occluded=occluded)
+    secondary = SecondaryRays((("left", PotentialLight.of(hd84, T_LAMP)),), 0, occluded=occluded)
     for controller in (Ssc.prepare(hd84), Jpo.prepare(hd84, JpoParams(iterations=1))):
         controller.utilisation(on_a_wall(), T_LAMP, secondary)
     assert len(asked) == 2

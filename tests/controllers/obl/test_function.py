@@ -16,7 +16,7 @@ from luxloop.controllers.functions.objects import GlareFreeParams
 from luxloop.controllers.geometry import cuboid
 from luxloop.controllers.pixels.pixel_major import MrpcParams
 from luxloop.controllers.pixels.primitives import concatenate
-from luxloop.controllers.pixels.secondary import Light, SecondaryRays
+from luxloop.controllers.pixels.secondary import PotentialLight, SecondaryRays
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.controllers.situation import AdaptiveFunction, Situation, TrackedObject
 from luxloop.perception.tracking import LINGER_S
@@ -56,7 +56,7 @@ def shining():  # type: ignore[no-untyped-def]
     """lx of both lamps together at points `[3, N]`, on a plane that faces each; share: of full light, below the function."""
     light = lamp("ssl-hd-lores").modules[0].headlight
     ssc = Ssc.prepare(light, MrpcParams(a_d=1.0))
-    lights = tuple((name, Light.of(light, T)) for name, T in zip(("left lores", "right lores"), PLACES, strict=True))
+    lights = tuple((name, PotentialLight.of(light, T)) for name, T in zip(("left lores", "right lores"), PLACES, strict=True))
 
     def lx(function: ObjectBasedParams, situation: Situation, points: Tensor, share: float = 0.0) -> Tensor:
         scene = concatenate(*function.adapted(function.start(), situation)).to(torch.float32)

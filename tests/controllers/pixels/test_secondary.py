@@ -8,7 +8,7 @@ import trimesh
 from luxloop.controllers.pixels.primitives import rectangle
 from luxloop.controllers.pixels.secondary import (
     Caster,
-    Light,
+    PotentialLight,
     SecondaryRays,
     scene_caster,
     seen_by,
@@ -23,7 +23,7 @@ from luxloop.world.scene.scene import Scene, StreetLamp
 
 LAMP = idealised(10, 16)
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-LEFT, RIGHT = (Light.of(LAMP, pose_from_degrees((0.0, y, 0.75))) for y in (0.6, -0.6))
+LEFT, RIGHT = (PotentialLight.of(LAMP, pose_from_degrees((0.0, y, 0.75))) for y in (0.6, -0.6))
 
 
 def box(x: float, y: float, z: float, size: tuple[float, float, float] = (0.2, 0.4, 0.6)) -> Body:
@@ -32,7 +32,7 @@ def box(x: float, y: float, z: float, size: tuple[float, float, float] = (0.2, 0
 
 def test_three_times_the_light_takes_three_quarters() -> None:
     """The example of T 7.5.1."""
-    brighter = Light(LAMP, 3 * LEFT.full, LEFT.T_world_headlight)
+    brighter = PotentialLight(LAMP, 3 * LEFT.full, LEFT.T_world_headlight)
     taken = shares([brighter, LEFT], torch.tensor([[20.0], [0.6], [0.3]], dtype=torch.float64))
     torch.testing.assert_close(taken[:, 0], torch.tensor([0.75, 0.25], dtype=torch.float64))
 
@@ -80,7 +80,7 @@ def illuminance(  # type: ignore[no-untyped-def]
 ) -> torch.Tensor:
     """lx on the road at points, of each lamp that sees them: `[2, N]`."""
     ssc = Ssc.prepare(FINE)
-    lights = tuple((name, Light.of(FINE, T)) for name, T in zip(("left hires", "right hires"), poses, strict=True))
+    lights = tuple((name, PotentialLight.of(FINE, T)) for name, T in zip(("left hires", "right hires"), poses, strict=True))
     total = []
     for own, T in enumerate(poses):
         u = ssc.utilisation(primitives, T, SecondaryRays(lights, own, street, occluded)).u
@@ -114,6 +114,6 @@ def test_street_lamps_are_made_up_to_what_is_wanted() -> None:
 
 def test_utilisations_are_not_shared() -> None:
     scene = replace(carpet(), quantity=torch.tensor([2]))
-    lights = tuple((str(k), Light.of(FINE, T)) for k, T in enumerate(POSES))
+    lights = tuple((str(k), PotentialLight.of(FINE, T)) for k, T in enumerate(POSES))
     assert not SecondaryRays(lights, 0).ask(scene, 0) and SecondaryRays(lights, 0).ask(carpet(), 0)
     assert not SecondaryRays(lights[:1], 0).ask(carpet(), 0)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from luxloop.controllers.pixels.mrpc import MrpcParams
 from luxloop.controllers.pixels.primitives import QUANTITIES, Observer, Primitives, concatenate, rectangle
 from luxloop.controllers.pixels.rthc import trace
-from luxloop.controllers.pixels.secondary import Light, SecondaryRays
+from luxloop.controllers.pixels.secondary import PotentialLight, SecondaryRays
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
@@ -108,7 +108,7 @@ def random_secondary(generator: np.random.Generator, light: Headlight, A: np.nda
         roots = np.roots([ray @ ray, 2 * ray @ q, q @ q - radius**2])
         return bool(np.isreal(roots).all() and roots.real.max() > 0 and roots.real.min() < 1)
 
-    rays = SecondaryRays(tuple((name, Light.of(each, place)) for name, each, _, place in lights), 0, street, occluded)
+    rays = SecondaryRays(tuple((name, PotentialLight.of(each, place)) for name, each, _, place in lights), 0, street, occluded)
     full = [(name, each, B.sum(1).reshape(ROWS, COLS), place.numpy()) for name, each, B, place in lights]
     return rays, reference.Asked(full, 0, [(np.array(lamp.position_m), lamp.intensity_cd) for lamp in street], blocked)
 

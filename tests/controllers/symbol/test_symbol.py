@@ -131,7 +131,7 @@ def test_footprint_holds_what_the_lamp_can_draw_on_an_uneven_road(
     length_m, width_m = larger.size_m if larger else (4.0, 2.0)
     primitive = road_symbol(pose, 0.0, width_m, length_m, torch.ones(1, 1), 1.0, "u_abs")
     point = (primitive.origin + u * primitive.d1 + v * primitive.d2)[0] + torch.tensor([0.0, 0.0, z or 0.0])
-    lamp = lamps()[0].T_world_headlight[:3, 3]
+    lamp = lamps()[0].T_body_headlight[:3, 3]
     ray = point - lamp
     if ray[2] >= 0 or (height_m - lamp[2]) / ray[2] * ray.norm() > 200:
         return  # comes down nowhere near

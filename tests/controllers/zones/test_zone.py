@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from luxloop.controllers.functions.zone import ZoneParams, box_region
 from luxloop.controllers.pixels.primitives import E_V
-from luxloop.controllers.pixels.secondary import Light
+from luxloop.controllers.pixels.secondary import PotentialLight
 from luxloop.controllers.situation import CameraImage, Situation
 from luxloop.perception.camera import CameraParams, camera_view, expose, luminance_of, saturation_luminance
 from luxloop.perception.noise import FrameNoise
@@ -54,7 +54,10 @@ def test_a_zone_comes_within_5_percent_in_10_steps_over_all_reflectances(reflect
 
 def test_what_no_lamp_can_give_does_not_wind_up() -> None:
     grid = idealised(40, 80)
-    lights = (("left", Light.of(grid, pose_from_degrees((0, 0.6, 0.75)))), ("right", Light.of(grid, pose_from_degrees((0, -0.6, 0.75)))))
+    lights = (
+        ("left", PotentialLight.of(grid, pose_from_degrees((0, 0.6, 0.75)))),
+        ("right", PotentialLight.of(grid, pose_from_degrees((0, -0.6, 0.75)))),
+    )
     zone, alone = ZoneParams(**WALL | {"luminance_cd_m2": 1e6}), ZoneParams(**WALL | {"luminance_cd_m2": 1e6, "modules": ("left",)})
     lx = {}
     for each in (zone, alone):

@@ -23,7 +23,7 @@ def test_npz_has_the_textures_of_the_modules(lux: Lux, tmp_path: Path) -> None:
     for module, u in zip(simulation.world.modules, result.lights, strict=True):
         assert np.array_equal(arrays[f"{module.name}.u"].ravel(), u.numpy())
         assert np.array_equal(arrays[f"{module.name}.candela"], module.headlight.light_texture(u).numpy())
-        assert np.array_equal(arrays[f"{module.name}.T_body_module"], module.T_world_headlight.double().numpy())
+        assert np.array_equal(arrays[f"{module.name}.T_body_module"], module.T_body_headlight.double().numpy())
         left, right, bottom, top = arrays[f"{module.name}.border_deg"]
         assert np.tan(np.radians(left)) == pytest.approx(module.headlight.left) and right < left and bottom < top
 

@@ -50,7 +50,7 @@ def test_scene_opens_in_trimesh_with_every_vertex_where_it_is(lux: Lux, tmp_path
     wide = camera["perspective"]["aspectRatio"] * math.tan(camera["perspective"]["yfov"] / 2)  # as glTF defines both
     assert 2 * math.atan(wide) == pytest.approx(math.radians(simulation.scenario.camera.hfov_deg))
     for module in world.modules:
-        T_world_module = state.T_world_body @ module.T_world_headlight.double()
+        T_world_module = state.T_world_body @ module.T_body_headlight.double()
         assert np.allclose(graph.get(f"lamp {module.name}", SCENE)[0], T_world_module.numpy(), atol=1e-6)
     assert graph.get("street lamp 1", SCENE)[0][:3, 3].tolist() == [20, 7, 6]
 

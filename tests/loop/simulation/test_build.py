@@ -48,7 +48,7 @@ def test_modules_are_where_they_are_mounted_and_the_finest_one_draws(tmp_path: P
     (module,) = simulation.symbol.projector.modules
     assert module.name == "left fine" and simulation.symbol.drawn_by == (1,)
     expected = pose_from_degrees((0.0, 0.7, 0.8), pitch_deg=0.5)
-    torch.testing.assert_close(module.T_world_headlight, expected, rtol=0, atol=1e-12)
+    torch.testing.assert_close(module.T_body_headlight, expected, rtol=0, atol=1e-12)
     assert module.pixel_controller.headlight.peak_cd == pytest.approx(50_000)
     assert [bool(u.any()) for u in simulation.at(0).lights] == [False, True, False, False]
     for named, drawing in ((("fine",), (1, 3)), (("right",), (2, 3)), (("right fine",), (3,))):

@@ -38,9 +38,9 @@ def wall(ambient_lx: float = 0.0, **camera: float) -> Scenario:
 
 def module(light: Headlight = LAMP) -> LampModule:
     """At the height at which the scenario has it."""
-    T_world_headlight = torch.eye(4, dtype=torch.float64)
-    T_world_headlight[2, 3] = 0.75
-    return LampModule("left matrix", light, T_world_headlight)
+    T_body_headlight = torch.eye(4, dtype=torch.float64)
+    T_body_headlight[2, 3] = 0.75
+    return LampModule("left matrix", light, T_body_headlight)
 
 
 def calibration(camera: CameraParams, lamp: LampModule, model: CameraModel | None = None, screen_m: float = SCREEN_M) -> Calibration:
@@ -50,7 +50,7 @@ def calibration(camera: CameraParams, lamp: LampModule, model: CameraModel | Non
     T_world_screen[:3, :3], T_world_screen[:3, 3] = SCREEN, (screen_m, 0.0, 0.0)
     levels = 2**camera.bits - 1
     response = linear_response(levels) ** np.float32(camera.gamma)
-    poses = {lamp.name: Pose.of(T_camera_world @ lamp.T_world_headlight.numpy())}
+    poses = {lamp.name: Pose.of(T_camera_world @ lamp.T_body_headlight.numpy())}
     known = Calibration(model or CameraModel.of(camera), response, np.zeros(3), Pose.of(T_camera_world @ T_world_screen), poses, {})
     return replace(known, lux=float(np.pi * saturation_luminance(camera) / ALBEDO))
 

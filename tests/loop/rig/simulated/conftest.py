@@ -30,7 +30,7 @@ def light(codes: np.ndarray, *timecodes: int) -> LightFrame:
 
 def seen_px(rig_scene: RigScene, y: np.ndarray, z: np.ndarray, wall_m: float) -> np.ndarray:
     """Where OpenCV has a light `[n, 2]` px whose tangents are y and z `[n]`, on a wall at an x; pixel centres at integer + 0.5."""
-    T, T_view = rig_scene.modules[0].T_world_headlight.double().numpy(), rig_scene.world.view.T_world_view.numpy()
+    T, T_view = rig_scene.modules[0].T_body_headlight.double().numpy(), rig_scene.world.view.T_world_view.numpy()
     rays = np.stack([np.ones_like(y), y, z], 1) @ T[:3, :3].T
     on_wall = T[:3, 3] + rays * ((wall_m - T[0, 3]) / rays[:, :1])
     in_camera, lens = (on_wall - T_view[:3, 3]) @ T_view[:3, :3], rig_scene.lens

@@ -23,7 +23,7 @@ Images = Callable[..., np.ndarray]
 def test_without_faults_its_frames_are_the_plants(pattern: np.ndarray) -> None:
     scenario = scenario_of("camera.noise=false")
     rig_scene = RigScene(scenario, faults_of("camera.columns=1"))
-    given = tuple(LampModule(each.name, each.headlight, each.T_world_headlight) for each in rig_scene.modules)
+    given = tuple(LampModule(each.name, each.headlight, each.T_body_headlight) for each in rig_scene.modules)
     plant = simulated_plant(scenario, given)
     lights = (Utilisation(torch.from_numpy(pattern).float() / 255, None),)
     expected = plant.exposed(*plant.world.luminance(0.0, lights), 0, 0).numpy()

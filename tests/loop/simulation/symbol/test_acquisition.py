@@ -57,7 +57,7 @@ def test_a_ray_meets_the_road_where_the_quadratic_is_solved() -> None:
 def test_the_shape_of_a_grade_is_found_where_its_light_is(percent: float, crossfall: float) -> None:
     prepared, found = simulation(grade(percent, crossfall)), acquired(grade(percent, crossfall))
     assert found.found
-    lamp = prepared.symbol.projector.modules[0].T_world_headlight[:3, 3]
+    lamp = prepared.symbol.projector.modules[0].T_body_headlight[:3, 3]
     way = torch.tensor([[17.0], [0.0], [0.0]]) - lamp[:, None]
     x, y, z = (lamp[:, None] + way * ray_lengths(found.shape[None], 17.0, lamp, way)[0])[:, 0].tolist()
     # the height at which the middle ray is met: half a camera row is 1 cm of height there

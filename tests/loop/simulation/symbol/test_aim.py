@@ -59,12 +59,12 @@ def test_a_place_below_the_field_moves_ahead_until_lamps_light_all_of_it() -> No
     assert found is not None and found[0] > 20 and found[1] == pytest.approx(0.0, abs=1e-9)
     corners = torch.tensor([[19.0, 19.0, 15.0, 15.0], [1.0, -1.0, 1.0, -1.0], [0.0] * 4], dtype=torch.float64)
     module = projector().modules[0]
-    x, _, z = transform(inverse(module.T_world_headlight.double()), transform(T, corners))
+    x, _, z = transform(inverse(module.T_body_headlight.double()), transform(T, corners))
     light = module.pixel_controller.headlight
     assert bool((z / x >= light.bottom).all()) and bool((z / x <= light.top).all())
     # A step nearer the nearest corner would be below the field.
     nearer = transform(T, corners)[0].min() - 0.5
-    below = (height(torch.tensor(grade(-4)).double(), 17.0, nearer, torch.tensor(0.0)) - module.T_world_headlight[2, 3]) / nearer
+    below = (height(torch.tensor(grade(-4)).double(), 17.0, nearer, torch.tensor(0.0)) - module.T_body_headlight[2, 3]) / nearer
     assert below < light.bottom
 
 

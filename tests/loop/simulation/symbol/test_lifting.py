@@ -65,7 +65,7 @@ def test_the_eye_sees_each_place_of_the_symbol_where_it_is_on_the_plane(flat: Si
     assert projection.warp is not None
     x_y = torch.tensor([[15.3, 0.9], [17.0, 0.0], [18.8, -0.7]])
     u_v = torch.stack([-x_y[:, 1] / 1.0, (17.0 - x_y[:, 0]) / 2.0], 1)  # of a symbol of 2 m by 4 m
-    eye, lamp = projector.eye.float()[:, None], projector.modules[0].T_world_headlight[:3, 3:].float()
+    eye, lamp = projector.eye.float()[:, None], projector.modules[0].T_body_headlight[:3, 3:].float()
     ways = torch.cat([x_y.T, torch.zeros(1, 3)]) - eye
     near, far = torch.zeros(3), torch.full((3,), 2.0)
     for _ in range(40):  # halving, to where the line of sight is under the road

@@ -60,7 +60,7 @@ def test_bands_of_rays_are_the_rays(simulation: Simulation) -> None:
         return
     poses = torch.tensor([[17.0, 0.0, 0.0, 0.0], [15.0, -1.4, 0.09, -0.03], [25.0, 8.0, -0.1, 0.02], [17.0, 60.0, 0.0, 0.0]])
     for module, primitives in zip(copies.projector.modules, copies.projector.primitives(ProjectionCommand(poses)), strict=True):
-        rays = drawing.rays_at(module.pixel_controller, primitives, module.T_world_headlight)
+        rays = drawing.rays_at(module.pixel_controller, primitives, module.T_body_headlight)
         drawn = WindowedSsc.of(module.pixel_controller, rays.window)
         assert drawing._plain(drawn, rays)
         for quick, readable in zip(drawing._sampled(drawn, rays), drawing._painted(drawn, rays), strict=True):
