@@ -66,7 +66,7 @@ def readings(of: Rig, n: int) -> list[Reading]:
         offsets = rng.uniform(-0.005, 0.005, (4000, 2))
         sensor = point + offsets[np.hypot(*offsets.T) < 0.005] @ screen.rotation[:, :2].T
         u, v = lens_px(of.truth.camera, of.params, of.truth.camera.project(point[None]))[0].tolist()
-        found.append(Reading(lux(of.light, lamp.matrix, sensor, normal), u, v))
+        found.append((lux(of.light, lamp.matrix, sensor, normal), u, v))
     return found
 
 

@@ -180,7 +180,7 @@ def soak(minutes: int) -> tuple[list[dict[str, Any]], dict[str, Any]]:
 
             with suppress(Enough):
                 run_scenario(scenario, folder, device="cpu", video=False, report=False, plant=plant)
-            rig.dark("the time is over")
+            rig.keeper.dark("the time is over")
             return watched.rows, rig.statistics.summary(len(scenario.shares)) | {"judged": evaluators[0].summary()}
 
 

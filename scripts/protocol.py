@@ -5,7 +5,8 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_origin
 
-from luxloop.loop.studio.answers import ANSWERS, PARTS
+from studio_answers import ANSWERS, PARTS
+
 from luxloop.loop.studio.messages import Message, View
 
 FILE = Path(__file__).parents[1] / "studio/src/protocol.ts"

@@ -205,14 +205,14 @@ def digitise(
     from luxloop.loop.rig.calibration.calibrate import load, refuse_name
     from luxloop.loop.rig.calibration.geometry import candela_factor
     from luxloop.loop.rig.calibration.intrinsics import brightness
-    from luxloop.loop.rig.calibration.lamp import digitised_side, lamp_of
+    from luxloop.loop.rig.calibration.lamp import lamp_of, refuse_both_sides
     from luxloop.world.lamps import archive
 
     readings = [_reading(each) for each in lux or ()]
     refuse_name(out)
     _require_arm(rig, arm)
     scenario = scenario_of(name, set, allow_code=allow_code)
-    digitised_side(scenario)
+    refuse_both_sides(scenario)
     known = load(calibration)
     with _setup(scenario, rig, allow_code) as (setup, modules):
         if setup.shape != (known.camera.height, known.camera.width):
@@ -395,15 +395,13 @@ def _views(path: Path, printed: Any) -> tuple[list["Corners"], tuple[int, int]]:
 
 
 def _reading(text: str) -> "Reading":
-    from luxloop.loop.rig.calibration.digitise import Reading
-
     try:
         value, at = text.split("@")
         u, v = at.split(",")
-        found = Reading(float(value), float(u), float(v))
+        found = float(value), float(u), float(v)
     except ValueError as error:
         raise LuxloopError(f"--lux {text}: is not of the form LUX@U,V, such as 820@640,360") from error
-    if not (found.lux > 0 and all(map(math.isfinite, (found.lux, found.u, found.v)))):
+    if not (found[0] > 0 and all(map(math.isfinite, found))):
         raise LuxloopError(f"--lux {text}: is no light; give a finite reading above 0, and finite places")
     return found
 

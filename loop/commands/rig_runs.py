@@ -66,7 +66,7 @@ def run_on_rig(
         try:
             passed = run_scenario(scenario, out, device, False, {**kept, "plant": plant, "frames": kept["frames"] or twin})
         finally:
-            rig.dark("the run has ended")
+            rig.keeper.dark("the run has ended")
             found = of_run(rig, len(scenario.shares)) | {"judged": {} if evaluator is None else evaluator.summary()}
             told = {"rig": redact(params.model_dump(mode="json")), "armed": armed, **found}
             if out.is_dir() and rig.statistics.exposures:
@@ -127,7 +127,7 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
         try:
             passed = run_scenario(scenario, out, device, False, {**kept, "plant": plant})
         finally:
-            rig.dark("the run has ended")
+            rig.keeper.dark("the run has ended")
             if live is not None and rig.statistics.exposures and out.is_dir():
                 found = of_run(rig, len(scenario.shares)) | {"judged": {}}
                 beam = live.beam.summary() | {"module": modules[number].name, "seen": live.digitiser.coverage}

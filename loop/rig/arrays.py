@@ -1,4 +1,4 @@
-"""Arrays of a rig by what they hold."""
+"""Types of a rig's arrays."""
 
 from collections.abc import Sequence
 from typing import Any

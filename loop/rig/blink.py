@@ -1,9 +1,8 @@
-"""The blink test: the lamp goes on and off at random times, and frames tell when that is seen (latency, jitter, rolling shutter, drift)."""
+"""The blink test: the lamp blinks at random times; frames give latency, jitter, rolling shutter and drift of the latency."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -15,27 +14,29 @@ from luxloop.loop.rig.rectification import WrongPicture, grey
 from luxloop.loop.rig.rig import Rig, await_camera
 from luxloop.world.errors import LuxloopError
 
-LEARNT: Final = 2  # switches from which the levels are learnt
-HOLD_S: Final = 0.4  # of a light at least, longer than any camera's latency
-SPREAD_S: Final = 0.1  # by which holds differ, so that blinks meet every phase of the camera
-LEARN_S: Final = 1.5  # of the first light and the first darkness, from whose end the levels are taken
-SEEN: Final = (0.01, 0.1)  # share of the change in a row of pixels that counts as seen, and whose lack as not yet whole: least and most
-SIGMAS: Final = 5.0  # of the scatter of steady light, which is not taken for a change
-LEAST_LEVELS: Final = 3.0  # digital numbers by which the brightest part has to change
-BRIGHT: Final = 0.5  # share of the largest change: pixels with more are looked at
-MARGIN: Final = 1.25  # on the worst that was measured, since worse will come
-MARGIN_S: Final = 0.008  # light may come later than in these few blinks, if a machine on its way is busy
-FEWEST: Final = 10  # blinks
-DRAWS: Final = 50  # of the blinks, for the scatter of the drift
-SURE, DRIFT_MS, LARGE_MS = 3.0, 1.0, 10.0  # a drift is told from 1 ms a minute and three standard deviations on, or from 10 ms a minute on
+LEARNT = 2  # first switches, which give the dark and bright levels
+HOLD_S = 0.4  # least duration of a light, longer than any camera's latency
+SPREAD_S = 0.1  # range of random additional duration, so that blinks meet every phase of the camera
+LEARN_S = 1.5  # duration of the first two lights
+SEEN = (0.01, 0.1)  # range of the threshold of a visible change, as a share of the full change of a row of pixels
+SIGMAS = 5.0  # threshold of a visible change in standard deviations of steady light
+LEAST_LEVELS = 3.0  # least change of the brightest part in digital numbers
+BRIGHT = 0.5  # pixels that change by this share of the largest change are evaluated
+MARGIN = 1.25  # factor on the worst measured jitter
+MARGIN_S = 0.008  # additional jitter, for a busy machine
+FEWEST = 10  # blinks
+DRAWS = 50  # bootstrap samples for the standard deviation of the drift
+SURE, DRIFT_MS, LARGE_MS = 3.0, 1.0, 10.0  # a drift is reported above 1 ms/min and three standard deviations, or above 10 ms/min
 
 
 @dataclass(frozen=True, eq=False)
 class BlinkPictures:
-    """Pictures of a blink test. lag_s: `[n]`, from sending the light that stands to the picture's arrival. at_s: `[n]`, when that was sent.
-    late_s: `[n]`, by how much they came later than the camera's rhythm lets expect, as was known when they came. least, most: `[n]`, share
-    of the change that is seen in the row of pixels that shows least and most of it. seen: share that is more than scatter. intervals_s:
-    `[m]`, between all pictures that came. queued: share of those that lay in a queue, which are left out of the others.
+    """Pictures of a blink test, n that count and m + 1 in all.
+
+    lag_s: `[n]`, from sending the current light to the picture's arrival. at_s: `[n]`, time of sending this light. late_s: `[n]`, lateness
+    against the camera's rhythm, as known on arrival. least, most: `[n]`, smallest and largest share of the change in a row of pixels. seen:
+    threshold of a visible change, a share. intervals_s: `[m]`, between all pictures. queued: share of pictures that came from a queue,
+    which do not count.
     """
 
     lag_s: Array
@@ -50,11 +51,11 @@ class BlinkPictures:
 
 @dataclass(frozen=True)
 class BlinkResult:
-    """What a blink test found; times in s.
+    """Result of a blink test; times in s.
 
-    latency_s, jitter_s, rolling_s: keys of `[timing]`, of the rows that see the light. first_s: median, 95 % and worst time from light to
-    the first frame that shows nothing else. drift_s_per_min: by how much the latency grows, and its standard deviation. interval_s: median
-    and worst time between pictures. queued: share of the pictures that lay in a queue.
+    latency_s, jitter_s, rolling_s: keys of `[timing]`, of rows that see the light. first_s: median, 95 % quantile and largest time from
+    light to the first frame of this light alone. drift_s_per_min: drift of the latency, and its standard deviation. interval_s: median and
+    largest time between pictures. queued: share of pictures that came from a queue.
     """
 
     latency_s: float
@@ -73,7 +74,7 @@ class BlinkResult:
 
     @property
     def warning(self) -> str:
-        """Why the timing may not hold, empty if nothing speaks against it."""
+        """Warning of a drift that makes the timing invalid; empty without."""
         drift_ms, std_ms = (1e3 * each for each in self.drift_s_per_min)
         if abs(drift_ms) <= min(max(SURE * std_ms, DRIFT_MS), LARGE_MS):
             return ""
@@ -84,10 +85,10 @@ class BlinkResult:
 
 
 def record(rig: Rig, grids: Grids, blinks: int, level: float, advance: Callable[[], None] = lambda: None) -> BlinkPictures:
-    """Pictures of an armed rig's lamp that blinks. level: utilisation of all pixels, where the limits allow it. advance: called after each
-    blink.
+    """Pictures of an armed rig's blinking lamp.
 
-    Raises LuxloopError where the camera does not see it.
+    level: utilisation of all pixels, reduced to the limits. advance: called after each blink. Raises LuxloopError if the camera does not
+    see the lamp, or fails.
     """
     if blinks < FEWEST:
         raise LuxloopError(f"--blinks {blinks}: is too few for a worst case; give {FEWEST} at least")
@@ -105,7 +106,7 @@ def record(rig: Rig, grids: Grids, blinks: int, level: float, advance: Callable[
         if rig.camera.alive:
             _show(rig, Shine(number, lit if on else black))
         else:
-            rig.dark(rig.camera.reason)
+            rig.keeper.dark(rig.camera.reason)
         sent_s = rig.keeper.since_s
         hold_s = LEARN_S if number < LEARNT else HOLD_S + SPREAD_S * drawn.random()
         kept, begun = [], len(pictures)
@@ -117,7 +118,7 @@ def record(rig: Rig, grids: Grids, blinks: int, level: float, advance: Callable[
                 queued += not picture.awaited
                 if mask is None:
                     kept.append(image)
-                elif picture.awaited and picture.arrived_s > sent_s:  # none of the blink before, which may be void
+                elif picture.awaited and picture.arrived_s > sent_s:  # not of the previous blink, which may be void
                     assert rows is not None
                     pictures.append((picture.arrived_s, picture.late_s, (image * mask).sum(1)[rows]))
             in_doubt = rig.keeper.since_s != sent_s or not rig.camera.alive
@@ -135,12 +136,12 @@ def record(rig: Rig, grids: Grids, blinks: int, level: float, advance: Callable[
         advance()
     assert mask is not None and rows is not None
     steady = [(each * mask).sum(2)[:, rows] for each in settled]
-    rig.dark("the blink test has ended")
+    rig.keeper.dark("the blink test has ended")
     return _blink_pictures(switches, pictures, steady, (np.diff(np.array(arrivals)), queued / max(len(arrivals), 1)))
 
 
 def evaluate(looks: BlinkPictures, blinks: int) -> BlinkResult:
-    """What the pictures of a blink test tell. Raises LuxloopError where they are too few."""
+    """Timing from the pictures of a blink test. Raises LuxloopError if they are too few."""
     whole, begun, lag_s = looks.least > 1 - looks.seen, looks.most > looks.seen, looks.lag_s
     if whole.sum() < blinks / 2 or len(lag_s) < 2 * blinks:
         raise LuxloopError("blink: too few pictures came, or the light is not steady; check the camera's rate, its exposure, and the lamp")
@@ -171,7 +172,7 @@ def evaluate(looks: BlinkPictures, blinks: int) -> BlinkResult:
 
 
 def _show(rig: Rig, shine: Shine) -> None:
-    """Show light at once. Raises LuxloopError where a limit forbids that."""
+    """Show light at once. Raises LuxloopError if the rate limit forbids that."""
     rig.keeper.beat()
     given = rig.limit(shine, time.monotonic())
     if given.slowed < 1:
@@ -180,11 +181,11 @@ def _show(rig: Rig, shine: Shine) -> None:
 
 
 def _pictures(rig: Rig, until_s: float) -> Iterator[tuple[CameraPicture, Image]]:
-    """Pictures as they come, as long as the camera lives."""
+    """Pictures with their grey images until a time, as long as the camera works."""
     while time.monotonic() < until_s:
         rig.keeper.beat()
         if not rig.camera.alive:
-            return  # the light is dark then, and the blink void
+            return  # the watchdog darkens the lamp
         picture = rig.camera.next(min(until_s, time.monotonic() + 0.1))
         if picture is not None:
             try:
@@ -194,7 +195,7 @@ def _pictures(rig: Rig, until_s: float) -> Iterator[tuple[CameraPicture, Image]]
 
 
 def _steady(images: list[Image]) -> Image:
-    """The last half of them `[n, height, width]`, 20 at most. Raises LuxloopError where there are too few, or their sizes differ."""
+    """The last half of the images `[n, height, width]`, 20 at most. Raises LuxloopError if these are too few, or differ in size."""
     last = images[len(images) // 2 :][-20:]
     if len(last) < 3 or len({each.shape for each in last}) > 1:
         raise LuxloopError("blink: too few pictures came, or of different sizes; see `luxloop rig check`")
@@ -202,7 +203,7 @@ def _steady(images: list[Image]) -> Image:
 
 
 def _region(dark: Image, bright: Image) -> tuple[Image, Mask]:
-    """Which pixels show the light, and the rows in which there are some. Raises LuxloopError where none do."""
+    """Mask of the pixels that show the light, and of the rows with such pixels. Raises LuxloopError if there are none."""
     change = bright - dark
     most = float(np.quantile(change, 0.999))
     if most < LEAST_LEVELS:
@@ -220,7 +221,10 @@ def _blink_pictures(
     steady: Sequence[Image],
     came: tuple[Array, float],
 ) -> BlinkPictures:
-    """steady: dark and bright rows of pixels, both `[n, rows]`. came: intervals between the pictures, and share that lay in a queue."""
+    """Evaluated pictures.
+
+    steady: dark and bright rows of pixels, `[n, rows]` each. came: intervals between pictures, and the queued share.
+    """
     dark, bright = (np.median(each, axis=0) for each in steady)
     scatter = max(float((each.std(0) / (bright - dark)).max()) for each in steady)
     seen = min(max(SIGMAS * scatter, SEEN[0]), SEEN[1])
@@ -239,7 +243,7 @@ def _blink_pictures(
 
 
 def _between(lag_s: Array, after: Mask, reach_s: float) -> float:
-    """The mean time from which pictures are `after`, of those within `reach_s` around the time that parts them best."""
+    """Mean transition time of `after`, from pictures within `reach_s` of the time that separates them best."""
     order = np.argsort(lag_s)
     lags, late = lag_s[order], after[order]
     wrong = np.concatenate([[0], np.cumsum(late)]) + np.concatenate([np.cumsum(~late[::-1])[::-1], [0]])  # with a border before each

@@ -1,11 +1,11 @@
-"""The camera's thread: it connects, reads pictures, and reconnects after a failure."""
+"""The camera's thread: connects, reads pictures, and reconnects after a failure."""
 
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Final, Protocol, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 
@@ -13,20 +13,20 @@ from luxloop.loop.rig.arrays import Data
 from luxloop.loop.rig.matching import Regularity
 from luxloop.world.errors import LuxloopError
 
-KEY: Final = "camera.kind"
-KEPT: Final = 8  # pictures that nobody has looked at yet; older ones are dropped
-AGAIN_S: Final = 0.5  # between two attempts to connect
-STEP_S: Final = 0.1  # for which a read waits at most, so that the thread can end
-PAUSE_S: Final = 1e-3  # after a picture, for the other threads: a read that never waits would hold the lock of the interpreter
+KEY = "camera.kind"
+KEPT = 8  # newest pictures in the queue; older ones are dropped
+AGAIN_S = 0.5  # between two attempts to connect
+STEP_S = 0.1  # longest wait of a read, so that the thread can end
+PAUSE_S = 1e-3  # after a picture, for other threads: a read that never waits holds the interpreter's lock
 
 
 @dataclass(frozen=True, eq=False)
 class CameraPicture:
     """A picture from a camera.
 
-    arrived_s: when its first byte was here, by `time.monotonic`. awaited: whether the reader waited for it; one that lay in a buffer
-    already may be older than it seems. data: encoded, or `[height, width]` or `[height, width, 3]` (blue, green, red) of 8 or 16 bits.
-    late_s: by how much it came later than the pictures before it let expect, which the camera's thread finds out.
+    arrived_s: arrival of the first byte, by `time.monotonic`. awaited: whether the reader waited for the picture; a picture from a buffer
+    may be older than arrived_s says. data: encoded, or `[height, width]` or `[height, width, 3]` (blue, green, red) of 8 or 16 bits.
+    late_s: lateness against the camera's rhythm in s, set by the camera's thread.
     """
 
     arrived_s: float
@@ -36,10 +36,10 @@ class CameraPicture:
 
 
 class CameraSource(Protocol):
-    """One connection."""
+    """A connection to a camera."""
 
     def read(self, timeout_s: float) -> CameraPicture | None:
-        """The next picture, None if none has arrived within timeout_s. Raises any exception if the connection is lost."""
+        """The next picture, None if none arrives within timeout_s. Raises any exception if the connection is lost."""
         ...
 
     def close(self) -> None: ...
@@ -49,29 +49,29 @@ class Camera:
     """The newest pictures of a camera, read in a thread of its own."""
 
     def __init__(self, connect: Callable[[], CameraSource], timeout_s: float) -> None:
-        """connect: opens a connection. timeout_s: time without a picture after which the camera is connected again."""
+        """connect: opens a connection. timeout_s: time without a picture until the camera is reconnected."""
         self._connect, self._timeout_s = connect, timeout_s
         self._changed, self._pictures = threading.Condition(), deque[CameraPicture](maxlen=KEPT)
         self._open, self._source = True, cast(CameraSource | None, None)
         self._last_s, self._failure = -np.inf, ""
-        self._misfit: tuple[float, str] | None = None  # since when pictures do not fit, and why
+        self._misfit: tuple[float, str] | None = None  # time of the first picture that does not fit, and the reason
         self.count = self.dropped = self.connections = 0
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self._thread.start()
 
     @property
     def alive(self) -> bool:
-        """Whether pictures arrive that fit."""
+        """Whether pictures arrive and fit the scenario."""
         now_s, misfit = time.monotonic(), self._misfit
         return now_s - self._last_s <= self._timeout_s and (misfit is None or now_s - misfit[0] <= self._timeout_s)
 
     def note_misfit(self, misfit: str | None) -> None:
-        """Note why the last picture does not fit the loop, None if it does. Only pictures that fit keep the lamp lit."""
+        """Note why the last picture does not fit the scenario, None if it does. Only fitting pictures keep the lamp lit."""
         self._misfit = None if misfit is None else (self._misfit[0] if self._misfit else time.monotonic(), misfit)
 
     @property
     def reason(self) -> str:
-        """Why no pictures arrive that fit, in words."""
+        """Reason why no fitting pictures arrive."""
         if self._misfit is not None and time.monotonic() - self._last_s <= self._timeout_s:
             return self._misfit[1]
         if self._source is not None or not self._failure:
@@ -79,20 +79,20 @@ class Camera:
         return self._failure
 
     def next(self, until_s: float) -> CameraPicture | None:
-        """The oldest picture not taken yet; waits for one up to until_s, by `time.monotonic`, and returns None if none arrives."""
+        """The oldest picture in the queue, None if none arrives until until_s, by `time.monotonic`."""
         with self._changed:
             self._changed.wait_for(lambda: bool(self._pictures) or not self._open, max(until_s - time.monotonic(), 0))
             return self._pictures.popleft() if self._pictures else None
 
     def forget(self) -> int:
-        """Drop all pictures so far; returns their number."""
+        """Drop all pictures in the queue; returns their number."""
         with self._changed:
             dropped = len(self._pictures)
             self._pictures.clear()
         return dropped
 
     def trigger(self) -> None:
-        """Trigger a frame. Raises LuxloopError if the camera's own code fails."""
+        """Trigger a frame. Raises LuxloopError if a camera class of the user's own fails."""
         source = self._source
         if source is not None:
             cast(Any, source).trigger()
@@ -114,7 +114,7 @@ class Camera:
                 finally:
                     source, self._source = self._source, None
                     source.close()
-            except Exception as error:  # drivers and streams raise whatever they like; the loop is told, and the lamp is dark
+            except Exception as error:  # drivers and streams raise anything; the watchdog darkens the lamp
                 text = str(error) or type(error).__name__
                 self._failure = text if isinstance(error, LuxloopError) else str(LuxloopError(f"camera: {text}"))
             until_s = time.monotonic() + AGAIN_S
@@ -140,7 +140,7 @@ class Camera:
 
 
 def check_picture(given: Any) -> CameraPicture | None:
-    """What a camera's `read` gives. Raises LuxloopError if it is neither None nor a valid CameraPicture, as of a user's own code."""
+    """The result of a camera's `read`, checked. Raises LuxloopError if it is neither None nor a valid CameraPicture."""
     if given is None:
         return None
     if not isinstance(given, CameraPicture):

@@ -1,11 +1,11 @@
-"""The cameras of a rig file: V4L2 devices by OpenCV, streams by PyAV, a folder that another program fills, or a class of one's own."""
+"""Cameras of a rig file: V4L2 devices by OpenCV, streams by PyAV, a folder of another program's pictures, or a user's own class."""
 
 import os
 import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from luxloop.loop.rig.camera import KEY, CameraPicture, CameraSource
 from luxloop.loop.rig.http_camera import HttpCamera
@@ -14,20 +14,20 @@ from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import content
 
-METHODS: Final = ("read", "close")
-WAITED_S: Final = 0.001  # a read that takes less has found its picture in a buffer
-RATE_SHARE: Final = 0.02  # by which a driver's rate may differ: 29.97 Hz is asked for as 30
-LOCKED: Final = 1  # V4L2's word for an exposure that is not automatic
-POLL_S: Final = 0.005
-ENDINGS: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
-LOST_S: Final = 5.0  # without an answer of a stream's server
+METHODS = ("read", "close")
+WAITED_S = 0.001  # a faster read found its picture in a buffer
+RATE_SHARE = 0.02  # accepted relative difference of a driver's rate: 29.97 Hz are requested as 30
+LOCKED = 1  # V4L2's code of manual exposure
+POLL_S = 0.005
+ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+LOST_S = 5.0  # time-out of a stream's server
 
 
 class DeviceCamera:
-    """A webcam. If its driver does not answer a read, only the camera's thread is blocked."""
+    """A webcam. A driver that hangs blocks only the camera's thread."""
 
     def __init__(self, params: DeviceCameraParams) -> None:
-        """Raises LuxloopError if there is no such device, or it does not accept the requested settings."""
+        """Open the device. Raises LuxloopError if it does not exist, or does not accept the requested settings."""
         import cv2
 
         if not Path(params.device).exists():
@@ -46,7 +46,7 @@ class DeviceCamera:
         code = None if params.fourcc is None else cv2.VideoWriter.fourcc(*params.fourcc)
         if code is not None:
             self._capture.set(cv2.CAP_PROP_FOURCC, code)
-        for key, value in wanted.values():  # all of them first: V4L2 takes width and height together
+        for key, value in wanted.values():  # before any is read: V4L2 sets width and height together
             self._capture.set(key, value)
         for name, (key, value) in wanted.items():
             got = self._capture.get(key)
@@ -69,7 +69,7 @@ class DeviceCamera:
         raise LuxloopError(f"camera.{key}: {reason}")
 
     def read(self, timeout_s: float) -> CameraPicture | None:
-        """The next picture, as soon as the driver gives it; None if it is damaged. Raises LuxloopError if the device gives none."""
+        """The next picture, None if it is damaged. Raises LuxloopError if the device gives none."""
         asked_s = time.monotonic()
         if not self._capture.grab():
             raise LuxloopError("camera: the device gives no picture; check its cable")
@@ -82,10 +82,10 @@ class DeviceCamera:
 
 
 class StreamCamera:
-    """A stream whose frames are decoded as they arrive."""
+    """A video stream, decoded frame by frame."""
 
     def __init__(self, params: StreamCameraParams) -> None:
-        """Raises an OSError of PyAV if no server answers in time."""
+        """Connect. Raises an OSError of PyAV if no server answers in time, LuxloopError if the stream has no video."""
         import av
 
         self._container: Any = av.open(params.url, options=dict(params.options), timeout=(LOST_S, LOST_S))
@@ -93,13 +93,13 @@ class StreamCamera:
             self._container.close()
             raise LuxloopError(f"camera.url: {params.url} has no video")
         stream = self._container.streams.video[0]
-        stream.thread_type = "SLICE"  # threads that share frames keep some back
+        stream.thread_type = "SLICE"  # threads per frame would delay frames
         stream.codec_context.flags |= av.codec.context.Flags.low_delay
-        stream.codec_context.options = {"err_detect": "explode"}  # in place of pictures with a grey rest
+        stream.codec_context.options = {"err_detect": "explode"}  # damaged pictures are errors
         self._packets, self._damaged = self._container.demux(stream), av.InvalidDataError
 
     def read(self, timeout_s: float) -> CameraPicture | None:
-        """The newest picture of the next packet, None if that has none or a damaged one. Raises LuxloopError if the stream ends."""
+        """The newest picture of the next packet, None if the packet has none or a damaged one. Raises LuxloopError if the stream ends."""
         asked_s = time.monotonic()
         packet = next(self._packets, None)
         if packet is None or packet.dts is None:
@@ -120,17 +120,17 @@ class StreamCamera:
 
 
 class FolderCamera:
-    """Files of a folder by ascending name, beginning with those added after the start."""
+    """Picture files of a folder in ascending order of their names, from the first one added after the start."""
 
     def __init__(self, params: FolderCameraParams) -> None:
-        """Raises LuxloopError if the folder does not exist."""
+        """Note the newest file. Raises LuxloopError if the folder does not exist."""
         self._folder = params.folder
         if not self._folder.is_dir():
             raise LuxloopError(f"camera.folder: there is no folder {self._folder}; make it, or correct the path")
         self._last = max(self._names(), default="")
 
     def read(self, timeout_s: float) -> CameraPicture | None:
-        """The next picture, None if none has arrived within timeout_s. Raises LuxloopError if a file cannot be read."""
+        """The newest picture, None if none arrives within timeout_s. Raises LuxloopError if a file cannot be read."""
         until_s, waited = time.monotonic() + timeout_s, False
         while not (fresh := sorted(name for name in self._names() if name > self._last)):
             if time.monotonic() > until_s:
@@ -148,7 +148,7 @@ class FolderCamera:
         return [name for name in os.listdir(self._folder) if name.lower().endswith(ENDINGS) and not name.startswith(".")]
 
 
-KINDS: Final[dict[type, Any]] = {
+KINDS: dict[type, Any] = {
     HttpCameraParams: HttpCamera,
     DeviceCameraParams: DeviceCamera,
     StreamCameraParams: StreamCamera,
@@ -157,9 +157,9 @@ KINDS: Final[dict[type, Any]] = {
 
 
 def opener(params: Cameras) -> Callable[[], CameraSource]:
-    """A function that connects to the camera of a rig file, and raises LuxloopError or OSError if it cannot.
+    """Function that connects to the camera of a rig file; it raises LuxloopError or OSError if it cannot connect.
 
-    Raises LuxloopError if a camera of the user's own cannot be loaded.
+    Raises LuxloopError if a user's own camera class cannot be loaded.
     """
     if (kind := KINDS.get(type(params))) is not None:
         return partial(kind, params)

@@ -1,8 +1,8 @@
-"""Samples of the vehicle's sensors, received as UDP datagrams of JSON, one a datagram:
+"""Samples of the vehicle's sensors, received as UDP datagrams of JSON, one sample a datagram:
 
     {"sensor": "gyro", "measured_s": 12.34, "sent_s": 12.35, "values": [0.0, 0.01, 0.2]}
 
-Both times are of the sender's clock, so that a receiver knows the age of a sample without a common clock.
+Both times are of the sender's clock; their difference gives the age of a sample without a common clock.
 """
 
 import json
@@ -11,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Final, Protocol, cast
+from typing import Annotated, Protocol, cast
 
 from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError
 from torch import Tensor
@@ -21,13 +21,16 @@ from luxloop.loop.rig.wire.sockets import udp_listener
 from luxloop.perception.egomotion import LARGEST, VALUES, Sample, Sensor
 from luxloop.world import plugin
 
-LARGEST_DATAGRAM: Final = 4096  # bytes of a datagram
-OLDEST_S: Final = 10.0  # age of a sample; an older one has another clock
+LARGEST_DATAGRAM = 4096  # bytes of a datagram
+OLDEST_S = 10.0  # age of a sample; an older one has another clock
 
 
 @dataclass(frozen=True)
 class SensorDatagram:
-    """A sample as it goes over the network. values: as in `luxloop.perception.egomotion.Sample`. Times in s of the sender's clock."""
+    """A sample on the network.
+
+    values: as in `luxloop.perception.egomotion.Sample`. measured_s, sent_s: s of the sender's clock.
+    """
 
     sensor: Sensor
     measured_s: FiniteFloat
@@ -40,29 +43,29 @@ class SensorDatagram:
         return self.sent_s - self.measured_s
 
 
-_DATAGRAM: Final = TypeAdapter(SensorDatagram)
+_DATAGRAM = TypeAdapter(SensorDatagram)
 
 
 def encode(sensor: str, measured_s: float, sent_s: float, values: Sequence[float]) -> bytes:
-    """The datagram of a sample."""
+    """Datagram of a sample."""
     return json.dumps({"sensor": sensor, "measured_s": measured_s, "sent_s": sent_s, "values": list(values)}).encode()
 
 
 def decode(datagram: bytes) -> SensorDatagram | None:
-    """The sample of a datagram, None where it has none, or none that a vehicle's sensor may have told a short time ago."""
+    """Sample of a datagram, None if the datagram is invalid, or its values or age are impossible."""
     if len(datagram) > LARGEST_DATAGRAM:
         return None
     try:
-        told = _DATAGRAM.validate_json(datagram)
+        sample = _DATAGRAM.validate_json(datagram)
     except ValidationError:
         return None
-    fits = VALUES[told.sensor] in (None, len(told.values)) and max(map(abs, told.values)) <= LARGEST[told.sensor]
-    return told if fits and 0 <= told.age_s <= OLDEST_S else None
+    fits = VALUES[sample.sensor] in (None, len(sample.values)) and max(map(abs, sample.values)) <= LARGEST[sample.sensor]
+    return sample if fits and 0 <= sample.age_s <= OLDEST_S else None
 
 
-KEY: Final = "ego.kind"
-METHODS: Final = ("samples", "close")
-MOST: Final = 1000  # samples that nobody has taken yet
+KEY = "ego.kind"
+METHODS = ("samples", "close")
+MOST = 1000  # newest samples in the queue
 
 
 class Ego(Protocol):
@@ -76,7 +79,7 @@ class Ego(Protocol):
 
 
 class NoEgo:
-    """A standing vehicle, without sensors."""
+    """A standing vehicle without sensors."""
 
     def samples(self, like: Tensor) -> tuple[Sample, ...]:
         return ()
@@ -86,7 +89,7 @@ class NoEgo:
 
 
 class UdpEgo:
-    """Samples from UDP datagrams of JSON, received in a thread of its own. refused: number of invalid datagrams."""
+    """Samples from UDP datagrams of JSON, received in a thread. refused: number of invalid datagrams."""
 
     def __init__(self, params: UdpEgoParams) -> None:
         """Raises LuxloopError if the port cannot be opened."""

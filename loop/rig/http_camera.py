@@ -5,7 +5,6 @@ import select
 import socket
 import time
 from collections.abc import Mapping
-from typing import Final
 from urllib.parse import unquote, urljoin, urlsplit
 from urllib.request import AbstractDigestAuthHandler, HTTPPasswordMgrWithDefaultRealm, Request, parse_http_list, parse_keqv_list
 
@@ -15,20 +14,20 @@ from luxloop.loop.rig.wire.mjpeg import LONGEST_LINE, parts
 from luxloop.loop.rig.wire.sockets import reaching
 from luxloop.world.errors import LuxloopError
 
-MOST_HEAD: Final = 16_384  # bytes of the answer's head
-MOST_ANSWERS: Final = 4  # redirects and a login before the pictures
-MOVED: Final = ("301", "302", "303", "307", "308")
-CHUNK: Final = 65_536
-EXAMPLE: Final = "write it as http://192.168.1.21:8080/camera"
-SLOW_S: Final = 2.0  # for a head or a picture to come whole, or camera.timeout_s if that is longer
-NO_PICTURES: Final = ("audio/", "text/")
+MOST_HEAD = 16_384  # bytes of the answer's head
+MOST_ANSWERS = 4  # redirects, login and pictures
+MOVED = ("301", "302", "303", "307", "308")
+CHUNK = 65_536
+EXAMPLE = "write it as http://192.168.1.21:8080/camera"
+SLOW_S = 2.0  # time-out of a whole head or picture, or camera.timeout_s if longer
+NO_PICTURES = ("audio/", "text/")
 
 
 class HttpCamera:
-    """One connection."""
+    """A connection to a network camera."""
 
     def __init__(self, params: HttpCameraParams) -> None:
-        """Raises LuxloopError if the address is invalid, or the server does not send pictures."""
+        """Connect. Raises LuxloopError if the address is invalid, or the server does not send pictures."""
         self._url, self._whole_s = params.url, max(SLOW_S, params.timeout_s)
         url, login = params.url, ""
         for _ in range(MOST_ANSWERS):
@@ -56,7 +55,7 @@ class HttpCamera:
         self._parts = parts(self._stream, params.largest_bytes)
 
     def read(self, timeout_s: float) -> CameraPicture | None:
-        """The next picture, None if none has arrived within timeout_s.
+        """The next picture, None if none arrives within timeout_s.
 
         Raises OSError if a picture does not come whole in time, LuxloopError if the response ends or is invalid.
         """
@@ -89,7 +88,7 @@ class HttpCamera:
             return socket.create_connection((host, port), SLOW_S)
 
     def _ask(self, address: str, login: str) -> tuple[str, Mapping[str, str]]:
-        """Status and head of the server's answer, names in lower case."""
+        """Status and head of the server's answer, with names in lower case."""
         url = urlsplit(address)
         lines = [f"GET {url.path or '/'}{f'?{url.query}' if url.query else ''} HTTP/1.0", f"Host: {url.hostname}"]
         lines += ["Accept: multipart/x-mixed-replace, image/*", *([f"Authorization: {login}"] if login else [])]
@@ -123,7 +122,7 @@ def _host(address: str) -> tuple[str | None, int | None]:
 
 
 def _login(given: str, address: str, challenge: str) -> str:
-    """The header that answers a challenge, basic or digest, with the user of the address that was given."""
+    """Authorization header for a basic or digest challenge, with the user in the address."""
     user, password = (unquote(each or "") for each in (urlsplit(given).username, urlsplit(given).password))
     kind, _, values = challenge.partition(" ")
     if kind.lower() != "digest":
@@ -140,19 +139,19 @@ def _login(given: str, address: str, challenge: str) -> str:
 
 
 class _Stream:
-    """A socket's bytes, with the time at which a part began to come. What is buffered is bounded by what is asked for.
+    """A buffered socket that notes the arrival time of a part's first byte.
 
     boundary: the line between two parts, empty before the first.
     """
 
     def __init__(self, sock: socket.socket, whole_s: float) -> None:
-        """whole_s: time in which a head or a part has to come whole."""
+        """whole_s: time-out of a whole head or part."""
         self.socket, self._buffer, self._whole_s = sock, bytearray(), whole_s
         self._until_s = time.monotonic() + whole_s
         self.arrived_s, self.awaited, self.boundary = 0.0, False, b""
 
     def await_part(self, timeout_s: float) -> bool:
-        """Wait for the first byte of the next part; whether it has come."""
+        """Wait for the first byte of the next part; returns whether it has arrived."""
         self._strip()
         self.awaited = False
         until_s = time.monotonic() + timeout_s
@@ -175,20 +174,20 @@ class _Stream:
     def readline(self, limit: int) -> bytes:
         while (end := self._buffer.find(b"\n", 0, limit)) < 0 and len(self._buffer) < limit:
             self._fill()
-        return self._taken(limit if end < 0 else end + 1)
+        return self._consume(limit if end < 0 else end + 1)
 
     def read(self, size: int) -> bytes:
         while len(self._buffer) < size:
             self._fill()
-        return self._taken(size)
+        return self._consume(size)
 
     def _strip(self) -> None:
-        """Drop what lies between two parts: ends of lines, the boundary, which many cameras send at once, a preamble before the first."""
+        """Drop bytes between two parts: line ends, the boundary, which many cameras send at once, and a preamble before the first part."""
         while size := 1 if self._buffer[:1] in (b"\r", b"\n") else self._boundary():
             del self._buffer[:size]
 
     def _boundary(self) -> int:
-        """Bytes of the boundary, or of a line before the first, that comes next; 0 where none does, or the last one, or a part of one."""
+        """Length of the next boundary, or of a line before the first; 0 if there is none, the last boundary or an incomplete one."""
         size = self._buffer.find(b"\n", 0, LONGEST_LINE) + 1
         line = bytes(self._buffer[:size].rstrip())
         if line.startswith(b"--") and not line.endswith(b"--"):
@@ -205,7 +204,7 @@ class _Stream:
             raise LuxloopError("camera: has closed the connection")
         self._buffer += came
 
-    def _taken(self, size: int) -> bytes:
+    def _consume(self, size: int) -> bytes:
         taken = bytes(self._buffer[:size])
         del self._buffer[:size]
         return taken

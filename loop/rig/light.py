@@ -1,8 +1,8 @@
-"""Light of a rig: its pictures of utilisations, the interface of all lights, and the limits of power and of change."""
+"""Light of a rig: pictures of utilisations, the interface of all light devices, and the limits of power and rate of change."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +13,15 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import REST, Commands
 
 Picture = NDArray[np.float32]  # utilisations [rows, columns] of a module in 0..1, row 0 on top, column 0 on the left
-KEY: Final = "light.kind"
+KEY = "light.kind"
 
 
 @dataclass(frozen=True, eq=False)
 class Shine:
-    """Light of all modules. number: of its exposure. commands: one a module, or none where all are at rest."""
+    """Light of all modules.
+
+    number: of its exposure. commands: one per module, or empty if all are at rest.
+    """
 
     number: int
     pictures: tuple[Picture, ...]
@@ -26,7 +29,7 @@ class Shine:
 
     @property
     def net_pictures(self) -> tuple[Picture, ...]:
-        """The pictures times the modules' intensities, for lamps without this command."""
+        """Pictures times the modules' intensities, for lamps that cannot dim a module."""
         commands = self.commands or (REST,) * len(self.pictures)
         return tuple(np.float32(each.intensity) * u for each, u in zip(commands, self.pictures, strict=True))
 
@@ -37,10 +40,10 @@ class Shine:
 
 
 class LightDevice(Protocol):
-    """One device. `show` with the same number again is the same light, sent to signal that the loop is alive."""
+    """A light device. `show` with the same number repeats the light, as a sign of life."""
 
     def show(self, shine: Shine) -> str | None:
-        """Send light; returns after all of it was sent: None, or the reason in words why it may not be shown."""
+        """Send light. Returns after all of it was sent: None, or the reason why it may not be shown."""
         ...
 
     def dark(self) -> None:
@@ -53,7 +56,7 @@ class LightDevice(Protocol):
 
 
 class NoLight:
-    """The light of a dry run: nothing is lit, and no device is opened."""
+    """Light device of a dry run: nothing is lit."""
 
     def show(self, shine: Shine) -> str | None:
         return None
@@ -66,7 +69,7 @@ class NoLight:
 
 
 def places(scan: ScanParams, rows: int, columns: int) -> Indices:
-    """Indices `[rows * columns]` into a picture in the order in which a device wants its pixels."""
+    """Indices `[rows * columns]` into a picture in a device's order of pixels."""
     index = np.arange(rows * columns).reshape(rows, columns)
     index = index[:: -1 if scan.from_bottom else 1, :: -1 if scan.from_right else 1]
     lines = index.T if scan.columns_first else index
@@ -77,7 +80,7 @@ def places(scan: ScanParams, rows: int, columns: int) -> Indices:
 
 
 def check_reason(reason: Any) -> str | None:
-    """The result of a light's `show`. Raises LuxloopError if it is neither None nor a text."""
+    """The result of a light's `show`, checked. Raises LuxloopError if it is neither None nor a text."""
     if reason is None or isinstance(reason, str):
         return reason
     raise LuxloopError(f"{KEY}: show gives a {type(reason).__name__}; return None where the light was sent, else the reason as a text")
@@ -85,8 +88,9 @@ def check_reason(reason: Any) -> str | None:
 
 @dataclass(frozen=True, eq=False)
 class LimitedLight:
-    """Light within the limits. dimmed: the factor by which the power limit dims it. slowed: the share of the requested change that is
-    made, 1 for all of it.
+    """Light within the limits.
+
+    dimmed: factor by the power limit. slowed: applied share of the requested change, 1 for all of it.
     """
 
     shine: Shine
@@ -95,14 +99,15 @@ class LimitedLight:
 
     @property
     def whole(self) -> bool:
-        """Whether it is the requested light."""
+        """Whether the requested light is unchanged."""
         return self.dimmed == 1 and self.slowed == 1
 
 
 def limit(shine: Shine, before: Sequence[Picture] | None, passed_s: float, limits: LimitParams) -> LimitedLight:
-    """Light within limits. before: current pictures times the modules' intensities, None if dark. passed_s: time since they were sent.
+    """Light within the limits.
 
-    Light is dimmed by one factor. Of a change that is too fast, only a part is made, so that it is complete after some exposures.
+    before: current pictures times the modules' intensities, None if dark. passed_s: time since they were sent. All pixels are dimmed by one
+    factor. Of a change that is too fast only a part is applied; it is complete after several exposures.
     """
     share = shine.share
     factor = 1.0 if share <= limits.share else limits.share / share

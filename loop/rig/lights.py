@@ -1,9 +1,9 @@
-"""The lights of a rig file: a lamp behind DDP over UDP, files for a player of the user's own, a page, or a class of one's own."""
+"""Light devices of a rig file: a lamp with DDP over UDP, files for a user's own player, a web page, or a user's own class."""
 
 import json
 import os
 from contextlib import suppress
-from typing import Final, cast
+from typing import cast
 
 import cv2
 import numpy as np
@@ -19,12 +19,15 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.files import whole
 from luxloop.world.headlight.lamp import REST, Commands
 
-METHODS: Final = ("show", "dark", "close")
-FAREWELLS = 3  # times that darkness is sent, since a packet may be lost
+METHODS = ("show", "dark", "close")
+FAREWELLS = 3  # dark frames at the end, since a packet may be lost
 
 
 class DdpLight:
-    """A lamp on the network. The time code of an exposure is its number plus the number of times that the lamp was darkened before."""
+    """A lamp on the network.
+
+    The time code of an exposure is its number plus the number of times that the lamp was darkened before.
+    """
 
     def __init__(self, params: DdpLightParams, grids: Grids) -> None:
         """grids: rows and columns of the modules' pixels. Raises LuxloopError if the host has no address."""
@@ -42,7 +45,7 @@ class DdpLight:
         return self._timecode
 
     def show(self, shine: Shine) -> str | None:
-        """Send a frame, new light `repeats` times. Returns the reason if it could not be sent, else None."""
+        """Send a frame, new light `repeats` times. Returns None, or the reason why it could not be sent."""
         fresh = self._frame is None or shine.number != self._number
         if self._frame is None or fresh:
             self._number, self._timecode = shine.number, shine.number + self._darkened
@@ -50,26 +53,26 @@ class DdpLight:
             ordered = [u.ravel()[order] for u, order in zip(pictures, self._order, strict=True)]
             codes = codes_of(np.concatenate(ordered), self._params.bits, self._params.gamma)
             self._frame = codes, self._rest and (shine.commands or self._rest)
-        return self._sent(*self._frame, self._params.repeats if fresh else 1)
+        return self._send(*self._frame, self._params.repeats if fresh else 1)
 
     def dark(self) -> None:
         """Send a dark frame, several times."""
         self._darkened += 1
         self._timecode += 1
         self._frame = None
-        self._sent(codes_of(np.zeros(sum(map(len, self._order))), self._params.bits), self._rest, FAREWELLS)
+        self._send(codes_of(np.zeros(sum(map(len, self._order))), self._params.bits), self._rest, FAREWELLS)
 
     def close(self) -> None:
         self._socket.close()
 
-    def _sent(self, codes: Codes, commands: Commands | None, times: int) -> str | None:
+    def _send(self, codes: Codes, commands: Commands | None, times: int) -> str | None:
         where, reason = f"{self._params.host}:{self._params.port}", None
         for _ in range(times):
             try:
                 send(self._socket, packets(codes, self._timecode if self._params.timecode else None, commands, self._sequence))
-            except ConnectionRefusedError:  # word of an earlier packet
+            except ConnectionRefusedError:  # reported by an earlier packet
                 reason = f"light: nobody listens at {where}"
-            except OSError as error:  # a full buffer, say; the next time may go out
+            except OSError as error:  # such as a full buffer; the next packet may go out
                 reason = f"light: sending to {where} fails ({error.strerror or error})"
         return reason
 
@@ -78,7 +81,7 @@ PICTURE, ABOUT = "light.png", "light.json"
 
 
 class FilesLight:
-    """Each light replaces `light.png`, and then `light.json` with number and commands, both atomically."""
+    """Each light atomically replaces `light.png`, then `light.json` with number and commands."""
 
     def __init__(self, params: FilesLightParams) -> None:
         """Raises LuxloopError if the folder does not exist or cannot be written."""
@@ -87,7 +90,7 @@ class FilesLight:
             raise LuxloopError(f"light.folder: {params.folder} is no folder that can be written; make it")
 
     def show(self, shine: Shine) -> str | None:
-        """Write new light; for current light touch `light.json`, which shows that the loop is alive. Returns the reason if it fails."""
+        """Write new light; for current light touch `light.json`, as a sign of life. Returns None, or the reason of a failure."""
         try:
             if shine.number == self._number:
                 os.utime(self._params.folder / ABOUT)
@@ -116,7 +119,7 @@ class FilesLight:
 
 
 def open_light(params: Lights, grids: Grids) -> LightDevice:
-    """The light of a rig file. grids: rows and columns of the modules' pixels. Raises LuxloopError if it cannot be opened."""
+    """Light device of a rig file. grids: rows and columns of the modules' pixels. Raises LuxloopError if it cannot be opened."""
 
     match params:
         case DdpLightParams():

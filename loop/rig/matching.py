@@ -1,14 +1,14 @@
-"""Which light a frame shows: by the time from sending the light to the frame's arrival, or by a mark in it. In doubt it shows none.
+"""Assignment of frames to light, by the time from sending the light to the frame's arrival, or by a mark in the frame.
 
 The mark identifies one of four exposures: two bits of a Gray code, each a cell beside its complement. The light may change during the first
-picture that shows its mark, so the second one is used.
+picture that shows its mark, so the second one is used. A doubtful frame is not assigned.
 """
 
 import math
 import statistics
 from collections import deque
 from collections.abc import Sequence
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -18,21 +18,20 @@ from luxloop.loop.rig.params import LimitParams, MarkParams, TimingParams
 from luxloop.world.errors import LuxloopError
 
 FrameContent = Literal["old", "mixed", "clear"]
-GAPS: Final = 61  # between pictures, whose median is the camera's period
-FEWEST: Final = 8  # gaps by which a period is known
-KEPT: Final = 0.9  # of the lateness, from picture to picture: a lost picture looks like lateness, but nothing catches up after it
-CATCHING_UP: Final = 0.5  # of the period: pictures closer together come out of a queue, and their lateness is kept whole
-IN_TIME: Final = 0.5  # of jitter_s, by which pictures that came in time may be late themselves
+GAPS = 61  # intervals between pictures whose median is the camera's period
+FEWEST = 8  # intervals for a first period
+KEPT = 0.9  # decay of the lateness per picture, since a lost picture looks like lateness that nothing catches up
+CATCHING_UP = 0.5  # share of the period; at shorter intervals pictures come from a queue, and lateness does not decay
+IN_TIME = 0.5  # share of jitter_s by which punctual pictures may be late
 
 
 def shows(lag_s: float, timing: TimingParams, late_s: float = 0.0) -> FrameContent:
-    """What a free-running camera's frame shows that arrives `lag_s` after light was sent, which has stood since.
+    """Content of a free-running camera's frame that arrives `lag_s` after the current light was sent.
 
-    A frame whose exposure begins just when the light is there arrives `latency_s` after it was sent, and up to `jitter_s` later, or by
-    `late_s` where the camera's own rhythm says that it is later than that. The rhythm is that of pictures which came in time, and these
-    may have been late by a part of the jitter, which is added. So one that arrives later than all this began after the light was there: it
-    is clear. One that arrives `rolling_s` before `latency_s` has ended its last exposure before the light was there: it shows the old light
-    alone. All between may be mixed.
+    A frame whose exposure begins together with the light arrives `latency_s` after the light was sent, at most `jitter_s` later, or
+    `late_s` later by the camera's own rhythm. This rhythm is that of punctual pictures, which may themselves be late by a share of the
+    jitter. A frame that arrives later than all of these is clear: it shows the new light alone. A frame that arrives `rolling_s` before
+    `latency_s` shows the old light alone. Frames between these times may be mixed.
     """
     if lag_s > timing.latency_s + max(timing.jitter_s, late_s + IN_TIME * timing.jitter_s):
         return "clear"
@@ -40,24 +39,24 @@ def shows(lag_s: float, timing: TimingParams, late_s: float = 0.0) -> FrameConte
 
 
 def needed_s(lateness_s: Array, predicted_s: Array) -> float:
-    """Least `jitter_s` with which `shows` takes none of some pictures for clear too early.
+    """Least `jitter_s` with which `shows` calls none of the given mixed pictures clear.
 
-    lateness_s: `[n]`, how much later than `latency_s` they came. predicted_s: `[n]`, the part of it that `Regularity` found.
+    lateness_s: `[n]`, arrival later than `latency_s`. predicted_s: `[n]`, lateness by `Regularity`.
     """
     return float(np.minimum(lateness_s, (lateness_s - predicted_s) / IN_TIME).max(initial=0.0))
 
 
 class Regularity:
-    """By how much pictures of a free-running camera come later than its period lets expect, counted from those that came in time."""
+    """Lateness of a free-running camera's pictures against its period, counted from punctual ones."""
 
     def __init__(self) -> None:
         self._gaps, self._late_s = deque[float](maxlen=GAPS), 0.0
         self._last_s: float | None = None
 
     def late(self, arrived_s: float) -> float:
-        """Lateness in s of the next picture, infinite where the period is not known yet.
+        """Lateness in s of the next picture, infinite until the period is known.
 
-        Where pictures pile up behind one that is stuck, that one and those behind it are late.
+        If pictures queue behind one that is stuck, all of these are late.
         """
         if self._last_s is not None:
             gap_s = arrived_s - self._last_s
@@ -73,12 +72,12 @@ class Regularity:
 
 
 CODES = 4
-INNER = 0.25  # of a cell's width and height, left out at each border
-AROUND = 0.5  # of the mark's width and height, by which its light may reach beyond it
+INNER = 0.25  # share of a cell's width and height left out at each border
+AROUND = 0.5  # reach of the mark's light beyond its border, as a share of its width and height
 
 
 def draw_mark(pictures: Sequence[Picture], mark: MarkParams, number: int) -> tuple[Picture, ...]:
-    """Pictures of utilisations with the mark of an exposure in them. number: of the exposure."""
+    """Pictures of utilisations with the mark of an exposure. number: of the exposure."""
     picture, width = pictures[mark.module].copy(), mark.columns // 4
     cells = np.repeat(np.array(mark_cells(number), np.float32), width)
     picture[mark.row : mark.row + mark.rows, mark.column : mark.column + 4 * width] = cells
@@ -86,16 +85,16 @@ def draw_mark(pictures: Sequence[Picture], mark: MarkParams, number: int) -> tup
 
 
 def mark_cells(number: int) -> tuple[bool, bool, bool, bool]:
-    """Which cells are lit, from the left. From one exposure to the next, exactly one pair of cells changes."""
+    """Lit cells from the left. From one exposure to the next, exactly one pair of cells changes."""
     gray = (number % CODES) ^ (number % CODES >> 1)
     high, low = bool(gray & 2), bool(gray & 1)
     return high, not high, low, not low
 
 
 def limits_beside_mark(limits: LimitParams, mark: MarkParams, grids: Grids) -> LimitParams:
-    """Limits of the light outside the mark, half of whose cells are always lit. grids: rows and columns of the modules' pixels.
+    """Limits of the light outside the mark, half of whose cells are always lit.
 
-    Raises LuxloopError if the mark does not lie on its module, or alone needs all the power.
+    grids: rows and columns of the modules' pixels. Raises LuxloopError if the mark does not fit its module, or needs all the power.
     """
     if mark.module >= len(grids):
         raise LuxloopError(f"mark.module: there is no module {mark.module}; the scenario has {len(grids)}, numbered from 0")
@@ -111,7 +110,7 @@ def limits_beside_mark(limits: LimitParams, mark: MarkParams, grids: Grids) -> L
 
 
 def read_mark(image: Image, mark: MarkParams) -> int | None:
-    """Number modulo 4 of the exposure that an image `[height, width]` shows; None if the contrast is too low."""
+    """Number modulo 4 of the exposure by the mark in an image `[height, width]`; None if the contrast is too low."""
     a, b = np.reshape([_level(image, mark, cell) for cell in range(4)], (2, 2)).T
     if not (np.abs(a - b) >= mark.contrast * (a + b)).all() or (a == b).any():
         return None

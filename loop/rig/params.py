@@ -1,7 +1,7 @@
-"""The rig file: addresses, devices and limits of one laboratory, which no scenario names."""
+"""The rig file: addresses, devices and limits of one laboratory."""
 
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -13,24 +13,24 @@ from luxloop.world.validation import read_toml, validate_model
 Port = Annotated[int, Field(ge=1, le=65535)]
 Host = Annotated[str, Field(min_length=1, max_length=255)]
 Count = Annotated[int, Field(ge=1, le=100_000)]
-EXAMPLE: Final = "docs/rig.md has a complete file"
+EXAMPLE = "docs/rig.md has a complete file"
 
 
 class ScanParams(Params):
-    """Order in which pixels lie on the wire or on the screen."""
+    """Order of the pixels on the network or the screen."""
 
     columns_first: bool = Field(False, description="whether pixels are ordered column by column, not row by row")
-    from_right: bool = Field(False, description="whether rows begin at the right")
-    from_bottom: bool = Field(False, description="whether columns begin at the bottom")
-    serpentine: bool = Field(False, description="whether every second row, or column, runs backwards")
+    from_right: bool = Field(False, description="whether rows start at the right")
+    from_bottom: bool = Field(False, description="whether columns start at the bottom")
+    serpentine: bool = Field(False, description="whether every second row (or column) runs backwards")
 
 
 class LightParams(Params):
-    """Keys of all lights."""
+    """Keys of all light devices."""
 
-    gamma: float = Field(1.0, ge=0.2, le=5, description="a code is the 1/gamma-th power of a utilisation; 1 is a linear lamp")
-    keep_alive_s: float = Field(0.03, ge=0.005, le=1, description="time after which the current light is sent again")
-    dark_after_s: float = Field(0.1, ge=0.02, le=60, description="the lamp's own time-out: time without data until it is dark")
+    gamma: float = Field(1.0, ge=0.2, le=5, description="a code is the utilisation to the power of 1/gamma; 1 is a linear lamp")
+    keep_alive_s: float = Field(0.03, ge=0.005, le=1, description="interval at which the current light is repeated")
+    dark_after_s: float = Field(0.1, ge=0.02, le=60, description="the lamp's own time-out: time without data until the lamp is dark")
 
     @model_validator(mode="after")
     def _alive(self) -> Self:
@@ -42,22 +42,22 @@ class LightParams(Params):
 
 
 class DdpLightParams(LightParams):
-    """A lamp behind a network of pixels, by DDP over UDP."""
+    """A lamp on the network, with DDP over UDP."""
 
     kind: Literal["ddp"]
     host: Host = Field(examples=["192.168.1.20"], description="name or address of the lamp")
     port: Port = Field(4048, description="UDP port")
     bits: Literal[8, 16] = Field(8, description="bits of a code")
-    repeats: int = Field(1, ge=1, le=8, description="how many times new light is sent at once, against lost packets")
+    repeats: int = Field(1, ge=1, le=8, description="number of times that new light is sent, against lost packets")
     commands: bool = Field(True, description="whether orientation and maximum intensity of the modules are sent")
     timecode: bool = Field(
-        False, description="whether packets have a number of their frame as time code, by which the rig process repairs incomplete frames"
+        False, description="whether packets carry their frame's number as time code, with which the rig process repairs incomplete frames"
     )
     scan: ScanParams = Field(ScanParams(), description="order of the pixels")
 
 
 class ScreenLightParams(LightParams):
-    """A page on a second display or a projector, opened in full screen."""
+    """A page in full screen on a second display or a projector."""
 
     kind: Literal["screen"]
     host: Host = Field("127.0.0.1", description="address to listen on")
@@ -66,22 +66,22 @@ class ScreenLightParams(LightParams):
 
 
 class FilesLightParams(LightParams):
-    """A folder of PNG files for a player of the user's own."""
+    """A folder of PNG files for a user's own player."""
 
     kind: Literal["files"]
-    folder: Path = Field(examples=["light"], description="folder that gets light.png, and light.json with its number and commands")
+    folder: Path = Field(examples=["light"], description="folder for light.png, and light.json with its number and commands")
     bits: Literal[8, 16] = Field(8, description="bits of a code")
 
 
 class OwnLightParams(OwnPart, LightParams):
-    """`Name(**options)` of a module of one's own."""
+    """`Name(**options)` of a user's own module."""
 
 
 Lights = Annotated[DdpLightParams | ScreenLightParams | FilesLightParams | OwnLightParams, KnownOrOwn("kind")]
 
 
 class CropParams(Params):
-    """A rectangle of the camera's picture in px."""
+    """A rectangle of the camera's picture."""
 
     u_px: int = Field(0, ge=0, le=65535, description="first column")
     v_px: int = Field(0, ge=0, le=65535, description="first row")
@@ -92,17 +92,15 @@ class CropParams(Params):
 class CameraSourceParams(Params):
     """Keys of all cameras."""
 
-    timeout_s: float = Field(
-        1.0, gt=0, le=60, description="time without a picture after which the lamp is darkened and the camera connected again"
-    )
+    timeout_s: float = Field(1.0, gt=0, le=60, description="time without a picture until the lamp is darkened and the camera reconnected")
     crop: CropParams | None = Field(
-        None, description="part of the picture that is the scenario's image, only without a calibration; left out: all of it"
+        None, description="part of the picture that is the scenario's image, only without a calibration; left out: the whole picture"
     )
-    bits: int | None = Field(None, ge=8, le=16, description="bits of a digital number; left out: those of the picture, 8 or 16")
+    bits: int | None = Field(None, ge=8, le=16, description="bits of a digital number; left out: 8 or 16, as in the picture")
 
 
 class HttpCameraParams(CameraSourceParams):
-    """A network camera that serves JPEG or PNG pictures, one after another in one answer (MJPEG)."""
+    """A network camera that sends JPEG or PNG pictures in one endless answer (MJPEG)."""
 
     kind: Literal["http"]
     url: str = Field(pattern="^http://", examples=["http://192.168.1.21:8080/camera"], description="address of the camera")
@@ -121,7 +119,7 @@ class DeviceCameraParams(CameraSourceParams):
         None,
         pattern="^[A-Za-z0-9 ]{4}$",
         examples=["MJPG"],
-        description="pixel format to request; many webcams give large pictures fast as MJPG only; left out: the driver's",
+        description="pixel format to request; many webcams reach high rates of large pictures with MJPG only; left out: the driver's",
     )
     exposure: float | None = Field(
         None, description="exposure to lock, in the driver's unit (100 us with most webcams); left out: unchanged"
@@ -140,14 +138,14 @@ class StreamCameraParams(CameraSourceParams):
 
 
 class FolderCameraParams(CameraSourceParams):
-    """A folder into which another program writes pictures, each whole, with names in ascending order."""
+    """A folder into which another program writes whole pictures, with names in ascending order."""
 
     kind: Literal["folder"]
     folder: Path = Field(examples=["frames"], description="folder of PNG, JPEG or TIFF files")
 
 
 class OwnCameraParams(OwnPart, CameraSourceParams):
-    """`Name(**options)` of a module of one's own."""
+    """`Name(**options)` of a user's own module."""
 
     triggered: bool = Field(False, description="whether each frame is triggered, by the method trigger")
 
@@ -159,7 +157,7 @@ Cameras = Annotated[
 
 
 class NoEgoParams(Params):
-    """A vehicle that stands."""
+    """A standing vehicle."""
 
     kind: Literal["none"] = "none"
 
@@ -170,26 +168,26 @@ class UdpEgoParams(Params):
     kind: Literal["udp"]
     host: Host = Field("127.0.0.1", description="address to listen on")
     port: Port = Field(4049, description="UDP port to listen on")
-    latency_s: float = Field(0.0, ge=0, le=10, description="time from sending to arrival")
+    latency_s: float = Field(0.0, ge=0, le=10, description="time from sending a sample to its arrival")
 
 
 class OwnEgoParams(OwnPart):
-    """`Name(**options)` of a module of one's own."""
+    """`Name(**options)` of a user's own module."""
 
 
 Egos = Annotated[NoEgoParams | UdpEgoParams | OwnEgoParams, KnownOrOwn("kind", "none")]
 
 
 class LimitParams(Params):
-    """Limits of all light that the lamp gets."""
+    """Limits of the lamp's light."""
 
-    power: PositiveShare = Field(1.0, description="largest mean utilisation of all pixels; light above it is dimmed")
+    power: PositiveShare = Field(1.0, description="largest mean utilisation of all pixels; brighter light is dimmed")
     power_w: float | None = Field(None, gt=0, le=1e6, description="largest power in W; needs full_w")
     full_w: float | None = Field(None, gt=0, le=1e6, description="power in W with all pixels on")
     change_per_s: Positive = Field(
-        1000.0, description="largest change of the mean utilisation per second; faster changes are made in steps"
+        1000.0, description="largest change of the mean utilisation per second; a faster change is spread over several exposures"
     )
-    loop_s: float = Field(1.0, ge=0.1, le=60, description="time without a call of the loop after which the lamp is darkened")
+    loop_s: float = Field(1.0, ge=0.1, le=60, description="time without a sign of life from the loop until the lamp is darkened")
 
     @model_validator(mode="after")
     def _both(self) -> Self:
@@ -199,21 +197,21 @@ class LimitParams(Params):
 
     @property
     def share(self) -> float:
-        """Largest mean utilisation, by both limits."""
+        """Largest mean utilisation by both limits."""
         return self.power if self.power_w is None or self.full_w is None else min(self.power, self.power_w / self.full_w)
 
 
 class TimingParams(Params):
-    """From light to frame, as `luxloop rig blink` measures and prints it."""
+    """Times from light to frame, as measured by `luxloop rig blink`."""
 
     latency_s: float = Field(
-        0.1, ge=0, le=5, description="mean time from sending light to the arrival of a frame whose exposure begins when the light is there"
+        0.1, ge=0, le=5, description="mean time from sending light to the arrival of a frame whose exposure begins together with the light"
     )
     jitter_s: float = Field(
-        0.03, ge=0, le=5, description="by how much a frame may come later than that: the worst that was measured, with a margin"
+        0.03, ge=0, le=5, description="largest lateness of a frame beyond latency_s: the measured worst case with a margin"
     )
-    rolling_s: float = Field(0.035, ge=0, le=5, description="from the begin of a frame's first exposure to the end of its last one")
-    wait_s: float = Field(1.0, gt=0, le=60, description="time from sending light after which its frame counts as lost")
+    rolling_s: float = Field(0.035, ge=0, le=5, description="time from the start of the first row's exposure to the end of the last row's")
+    wait_s: float = Field(1.0, gt=0, le=60, description="time from sending light until its frame counts as lost")
 
     @model_validator(mode="after")
     def _patient(self) -> Self:
@@ -225,12 +223,12 @@ class TimingParams(Params):
 
     @property
     def clear_s(self) -> float:
-        """Frames that arrive so long after light was sent show nothing before it."""
+        """Least time from sending light to the arrival of a frame that shows no earlier light."""
         return self.latency_s + self.jitter_s
 
 
 class MarkParams(Params):
-    """Four cells of light side by side that say which of four exposures a frame shows."""
+    """A mark in the light: four cells side by side that identify one of four exposures."""
 
     module: int = Field(0, ge=0, le=1000, description="number of the module that shows the mark")
     row: int = Field(0, ge=0, le=100_000, description="first row of pixels")
@@ -242,32 +240,32 @@ class MarkParams(Params):
     width_px: float = Field(gt=0, le=8192, description="width of all four cells in the image", examples=[80])
     height_px: float = Field(gt=0, le=8192, description="height in the image", examples=[20])
     contrast: float = Field(
-        0.2, gt=0, lt=1, description="smallest contrast of a bright and a dark cell, difference over sum; below it the frame is lost"
+        0.2, gt=0, lt=1, description="least contrast of a bright and a dark cell, difference over sum; a frame with less is lost"
     )
 
 
 class RigCalibrationParams(Params):
-    """The result of `luxloop rig calibrate`."""
+    """Result of `luxloop rig calibrate`."""
 
-    file: Path = Field(examples=["rig.npz"], description="file by which the camera's pictures are rectified and beams digitised")
+    file: Path = Field(examples=["rig.npz"], description="calibration file, for rectifying the camera's pictures and digitising beams")
 
 
 class PlatformParams(Params):
-    """A motion platform, which gets the pose of the vehicle's body at each exposure of a beam that is digitised live."""
+    """A motion platform, to which the pose of the vehicle's body is sent at each exposure of a live digitised beam."""
 
     host: Host = Field(examples=["192.168.1.30"], description="name or address of the platform")
     port: Port = Field(4050, description="UDP port")
 
 
 class RigParams(Params):
-    """One laboratory."""
+    """A rig: the devices of one laboratory."""
 
     light: Lights = Field(description="the lamp")
     camera: Cameras = Field(description="the camera")
     ego: Egos = Field(NoEgoParams(), description="the vehicle's sensors")
     limits: LimitParams = Field(LimitParams(), description="limits of the light")
     timing: TimingParams = Field(TimingParams(), description="times from light to frame")
-    mark: MarkParams | None = Field(None, description="a mark in the light that says which exposure a frame shows")
+    mark: MarkParams | None = Field(None, description="a mark in the light that identifies a frame's exposure")
     calibration: RigCalibrationParams | None = Field(None, description="the camera's calibration")
     platform: PlatformParams | None = Field(None, description="a motion platform")
 
@@ -278,9 +276,9 @@ class RigParams(Params):
 
 
 def load_rig(file: Path, *, allow_code: bool = False) -> RigParams:
-    """Read a rig file; its paths are relative to it. Opens nothing.
+    """Read a rig file; its paths are relative to the file. Opens no device.
 
-    allow_code: whether modules that it names may run. Raises LuxloopError that names file, key and remedy.
+    allow_code: whether Python modules named in the file may run. Raises LuxloopError with file, key and remedy.
     """
     data = read_toml(file)
     with locate(str(file)):
@@ -294,7 +292,7 @@ def load_rig(file: Path, *, allow_code: bool = False) -> RigParams:
 
 
 def _resolve(key: str, value: Any, folder: Path) -> Any:
-    """The value of a table's key, with a path or a module resolved from the file's folder."""
+    """Value of a table's key, with a path or module resolved from the file's folder."""
     if isinstance(value, str) and key in ("file", "folder"):
         return str(folder / Path(value).expanduser())
     return beside(value, folder) if isinstance(value, str) and key == "kind" else value

@@ -1,4 +1,4 @@
-"""The rig as a plant of the loop: it shows exposures, assigns pictures to them, and evaluates the symbol in them."""
+"""The rig as a plant: it shows exposures, assigns pictures to them, and evaluates symbols after the run."""
 
 import math
 import time
@@ -26,10 +26,10 @@ from luxloop.perception.metrics import CELL_M, Target, evaluate, target
 
 @dataclass(frozen=True, eq=False)
 class RigPlant:
-    """Shows light on a rig. It has no state, since hardware cannot return to an earlier one, and does not know the truth.
+    """A rig as a plant. It has no state, since hardware cannot return to an earlier one, and does not know the truth.
 
     Its clock is `time.monotonic`. grids: rows and columns of the modules' pixels. like: gives dtype and device of frames. last: number of
-    the exposure after which the lamp is dark. look: gets each exposure with its image, None if it is lost.
+    the last exposure; the lamp is dark afterwards. look: called with each exposure and its image, None if lost.
     """
 
     rig: Rig
@@ -40,15 +40,15 @@ class RigPlant:
 
     @classmethod
     def of(cls, rig: Rig, modules: Sequence[LampModule], exposures: int) -> "RigPlant":
-        """The plant of an open rig. modules: of the scenario's lamps. exposures: number of exposures of the run."""
+        """Plant of an open rig. modules: of the scenario's lamps. exposures: number of exposures of the run."""
         return cls(rig, grids_of(modules), modules[0].headlight.matrix.values, exposures - 1)
 
     def start(self) -> tuple[None, Arrivals]:
-        """The initial state: nothing is lit."""
+        """Initial state: nothing is lit."""
         return None, Arrivals(time.monotonic(), samples=self.rig.ego.samples(self.like))
 
     def show(self, state: None, exposure: Exposure) -> tuple[None, Arrivals]:
-        """Show an exposure, at least for its duration, until a frame of its light alone has arrived or counts as lost."""
+        """Show an exposure for at least its duration, until a frame of its light alone has arrived or counts as lost."""
         pictures = tuple(_picture(light, grid) for light, grid in zip(exposure.lights, self.grids, strict=True))
         given, taken = self.rig.expose(Shine(exposure.number, pictures, exposure.commands), exposure.duration_s)
         if taken.image is None:
@@ -63,13 +63,13 @@ class RigPlant:
             frame = Frame(exposure.number, taken_s, taken.arrived_s, torch.from_numpy(taken.image).to(self.like), shown)
         self.look(exposure, frame.image)
         if exposure.number == self.last:
-            self.rig.dark("the run has ended")
+            self.rig.keeper.dark("the run has ended")
         samples = self.rig.ego.samples(self.like)
         return state, Arrivals(time.monotonic(), (frame,), samples)
 
 
 def _picture(light: Utilisation, grid: tuple[int, int]) -> Image:
-    """What can be shown of it: the limits would count light below 0 against that of other pixels."""
+    """Utilisations `[rows, columns]` in 0..1; light below 0 would count against other pixels in the limits."""
     return light.u.detach().to("cpu", torch.float32).nan_to_num(0.0).clamp(0, 1).numpy().reshape(grid)
 
 
@@ -77,7 +77,7 @@ LAST = 10  # pairs of frames
 
 
 class RigEvaluator:
-    """Metrics of a run's last steps, computed after its end so that they delay no step."""
+    """Metrics of a run's last frames, computed after its end so that they delay no step."""
 
     def __init__(self, symbols: Mapping[str, ControlledSymbol], camera: CameraParams, mark: MarkParams | None = None) -> None:
         """symbols: held symbols by name. camera: the scenario's. mark: in the light, left out of the evaluation."""
@@ -87,7 +87,7 @@ class RigEvaluator:
         self._pairs = {name: deque[tuple[int, Tensor, Tensor]](maxlen=LAST) for name in symbols}
 
     def look(self, exposure: Exposure, image: Tensor | None) -> None:
-        """Take the frame of an exposure, None if it is lost; frames of consecutive exposures are compared."""
+        """Store the frame of an exposure, None if lost; frames of consecutive exposures form a pair."""
         before, self._on = self._on, None if image is None else (exposure, image)
         if before is None or image is None or before[0].number + 1 != exposure.number:
             return
@@ -95,8 +95,8 @@ class RigEvaluator:
             self._pairs[name].append((exposure.number, before[1], image))
 
     def summary(self) -> dict[str, Any]:
-        """By name: IoU and centroid error (None where nothing is lit) of the last pair of frames, the number of its exposure, and the mean
-        IoU of the last ten.
+        """By symbol: IoU and centroid error (None if nothing is lit) of the last pair of frames, number of its exposure, and mean IoU of
+        the last ten pairs.
         """
         found = {}
         for name, pairs in self._pairs.items():
@@ -114,7 +114,7 @@ class RigEvaluator:
         return found
 
     def _luminance(self, image: Tensor) -> Tensor:
-        """Luminance `[height, width]` of a frame, 0 around the mark."""
+        """Luminance `[height, width]` of a frame in cd/m^2, 0 around the mark."""
         if self._mark is not None:
             image = image.clone()
             image[mark_surroundings(self._mark)] = 0
@@ -122,7 +122,7 @@ class RigEvaluator:
 
 
 def _goal(symbol: ControlledSymbol, camera: CameraParams) -> tuple[BirdsEye, Target]:
-    """The view of the assumed road, and the symbol at its target on it, as the camera would see it."""
+    """Bird's-eye view of the assumed road, and the symbol at its target there, as the camera would see it."""
     held, projector = symbol.function.held, symbol.projector
     region = region_around(held.x_m, held.y_m, held.length_m, held.width_m, CELL_M)
     flat = symbol.sensor.model.luminance(projector.light(projector.target))

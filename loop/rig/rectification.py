@@ -1,9 +1,8 @@
-"""From a camera's picture to the scenario's image: decode, convert to grey, rectify or crop, and scale to its digital numbers."""
+"""Conversion of a camera's picture to the scenario's image: decoding, grey, rectification or crop, and digital numbers."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 import cv2
 import numpy as np
@@ -16,10 +15,10 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.files import reading, regular
 from luxloop.world.images import decode
 
-AS_SENT: Final = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION  # a camera that is mounted upside down is calibrated so
-GREY: Final = cv2.IMREAD_GRAYSCALE | AS_SENT
-REMEDY: Final = "set camera.width_px and camera.height_px of the scenario, or camera.crop of the rig file"
-AGAIN: Final = "run `luxloop rig calibrate` again"
+AS_SENT = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION  # the calibration covers a camera mounted upside down
+GREY = cv2.IMREAD_GRAYSCALE | AS_SENT
+REMEDY = "set camera.width_px and camera.height_px of the scenario, or camera.crop of the rig file"
+AGAIN = "run `luxloop rig calibrate` again"
 
 
 Rectify = Callable[[Data], Image]  # raises WrongPicture where there is no image
@@ -31,10 +30,10 @@ class WrongPicture(LuxloopError):
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """The lens of a calibration, by which pictures are rectified.
+    """Lens of a calibration, for rectifying pictures.
 
-    size: width and height of the pictures in px. matrix: `[3, 3]`, and distortion: `[n]`, as OpenCV has them. response: share of the
-    saturation by code `[2^bits]`, None for a linear camera.
+    size: width and height of the pictures in px. matrix, distortion: `[3, 3]` and `[n]`, OpenCV's. response: share of the saturation by
+    code `[2^bits]`, None for a linear camera.
     """
 
     size: tuple[int, int]
@@ -44,9 +43,9 @@ class Lens:
 
 
 def rectifier(rig: RigParams, camera: CameraParams) -> Rectify:
-    """From a camera's picture to the scenario's image `[height, width]` in its digital numbers. camera: the scenario's.
+    """Conversion of a camera's picture to the scenario's image `[height, width]` in digital numbers. camera: the scenario's.
 
-    Raises LuxloopError if the calibration's file cannot be read, or `crop` does not fit.
+    Raises LuxloopError if the calibration file cannot be read, or `crop` does not fit.
     """
     lens = None if rig.calibration is None else load_lens(rig.calibration.file)
     crop, size, maps = rig.camera.crop, (camera.width_px, camera.height_px), None
@@ -101,7 +100,7 @@ def grey(data: Data) -> Image:
 
 
 def camera_picture(data: bytes, flags: int) -> Image:
-    """An encoded picture as OpenCV decodes it with these flags. Raises WrongPicture if it is damaged, in part too, or too large."""
+    """An encoded picture, decoded by OpenCV with these flags. Raises WrongPicture if it is damaged, even in part, or too large."""
     try:
         picture = decode(data, "camera: a picture", flags)
     except LuxloopError as error:
@@ -112,8 +111,10 @@ def camera_picture(data: bytes, flags: int) -> Image:
 
 
 def load_lens(file: Path) -> Lens:
-    """The camera of a calibration's file: `size_px` `[2]`, `camera_matrix` `[3, 3]`, `distortion` `[n]`, and `response` `[2^bits]` if it
-    was measured. Raises LuxloopError if the file cannot be read.
+    """Lens of a calibration file: `size_px` `[2]`, `camera_matrix` `[3, 3]`, `distortion` `[n]`, and `response` `[2^bits]` if it was
+    measured.
+
+    Raises LuxloopError if the file cannot be read.
     """
     with reading(file, "no calibration of a rig", AGAIN):
         arrays = read_npz(regular(file))

@@ -1,12 +1,12 @@
-"""An open rig: lamp, camera and sensors; it shows light and returns a frame of it, with statistics of a run."""
+"""An open rig: lamp, camera and sensors; it shows light, returns a frame of it, and keeps statistics."""
 
 import math
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -23,46 +23,27 @@ from luxloop.loop.rig.rectification import Rectify, WrongPicture, grey, rectifie
 from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError
 
-BIN_S: Final = 0.0005
-BINS: Final = 10_000  # up to 5 s; later ones count as the last
-MOST_LOSSES: Final = 1000  # of which the number of the exposure is kept
-LEAST_FRAMES: Final = 0.8  # share of the exposures: jitter, lost packets and a camera that reconnects cost less
-LONGEST_SILENCE: Final = 10  # exposures without a frame at the end, of a rig that died in a long run
+MOST_LOSSES = 1000  # lost frames with the number of their exposure in the summary
+LEAST_FRAMES = 0.8  # share of exposures with a frame; jitter, lost packets and a reconnecting camera cost less
+LONGEST_SILENCE = 10  # exposures without a frame at the end of a run whose rig has failed
 
 
-@dataclass
-class TimeHistogram:
-    """Times in a histogram of constant memory."""
-
-    counts: Image = field(default_factory=lambda: np.zeros(BINS, np.int64))
-    worst_s: float = 0.0
-
-    def add(self, time_s: float) -> None:
-        self.counts[min(max(int(time_s / BIN_S), 0), BINS - 1)] += 1
-        self.worst_s = max(self.worst_s, time_s)
-
-    def quantile_s(self, share: float) -> float | None:
-        """Quantile in s, None without any times. share: 0..1."""
-        if not self.counts.any():
-            return None
-        at = int(np.searchsorted(np.cumsum(self.counts), share * self.counts.sum()))
-        return min((at + 0.5) * BIN_S, self.worst_s)
-
-    @property
-    def in_ms(self) -> dict[str, float | None]:
-        """Median, 95 % quantile and worst in ms."""
-        values = {"median": self.quantile_s(0.5), "p95": self.quantile_s(0.95), "worst": self.worst_s if self.counts.any() else None}
-        return {name: None if value is None else round(1e3 * value, 2) for name, value in values.items()}
+def spread_ms(times_s: Sequence[float]) -> dict[str, float | None]:
+    """Median, 95 % quantile and largest of times in ms; None without times."""
+    values = 1e3 * np.quantile(times_s, (0.5, 0.95, 1)) if times_s else (None,) * 3
+    return {name: value and round(float(value), 2) for name, value in zip(("median", "p95", "worst"), values, strict=True)}
 
 
 @dataclass
 class Statistics:
-    """Statistics of a run so far. lateness: from sending light to the arrival of its frame. hold: from the start of an exposure to its
-    end. seen: number of pictures by their use. silent: exposures since the newest frame.
+    """Statistics of a run so far.
+
+    lateness_s: times from sending light to the arrival of its frame. holds_s: durations of exposures. seen: number of pictures by their
+    use. silent: exposures since the newest frame.
     """
 
-    lateness: TimeHistogram = field(default_factory=TimeHistogram)
-    hold: TimeHistogram = field(default_factory=TimeHistogram)
+    lateness_s: list[float] = field(default_factory=list)
+    holds_s: list[float] = field(default_factory=list)
     seen: Counter[str] = field(default_factory=Counter)
     lost: Counter[str] = field(default_factory=Counter)
     losses: list[tuple[int, str]] = field(default_factory=list)
@@ -81,7 +62,9 @@ class Statistics:
 
     @property
     def failure(self) -> str:
-        """Why a run is none of a working rig: fewer than 80 % of the exposures have a frame, or none of the last ten; empty if it is."""
+        """Reason why the rig has failed: fewer than 80 % of the exposures have a frame, or none of the last ten; empty for a working
+        rig.
+        """
         came = self.exposures - self.lost.total()
         if came >= LEAST_FRAMES * self.exposures and self.silent < LONGEST_SILENCE:
             return ""
@@ -97,21 +80,22 @@ class Statistics:
             "lost": dict(self.lost),
             "losses": [{"exposure": number, "reason": reason} for number, reason in self.losses],
             "control_rate_hz": round(self.exposures / per_step / lasted_s, 3) if lasted_s > 0 else None,
-            "light_to_frame_ms": self.lateness.in_ms,
-            "hold_ms": self.hold.in_ms,
+            "light_to_frame_ms": spread_ms(self.lateness_s),
+            "hold_ms": spread_ms(self.holds_s),
             "pictures": dict(self.seen),
         }
 
 
-CAMERA_S = 5.0  # for a camera's first picture
-BEAT_S = 0.05  # between two beats at most, half of the least limits.loop_s
+CAMERA_S = 5.0  # time-out of a camera's first picture
+BEAT_S = 0.05  # longest time between two beats, half of the least limits.loop_s
 
 
 @dataclass(frozen=True)
 class RigFrame:
-    """A frame, or the reason why it is lost. sent_s, arrived_s: times of the light and of the frame, by `time.monotonic`.
+    """A frame, or the reason why it is lost.
 
-    image: `[height, width]`, None if lost. data: the picture as it arrived.
+    sent_s, arrived_s: times of the light and of the frame, by `time.monotonic`. image: `[height, width]`, None if lost. data: the picture
+    as it arrived.
     """
 
     sent_s: float
@@ -123,9 +107,10 @@ class RigFrame:
 
 @dataclass
 class Rig:
-    """An open rig. armed: whether the lamp is lit; otherwise it is a dry run. light: the device, for tests and messages.
+    """An open rig.
 
-    limits: of the light outside the mark.
+    armed: whether the lamp is lit; otherwise it is a dry run. light: the device, for tests and messages. limits: of the light outside the
+    mark.
     """
 
     params: RigParams
@@ -147,7 +132,7 @@ class Rig:
         began_s = time.monotonic()
         self.statistics.began_s = self.statistics.began_s or began_s
         self.keeper.beat()
-        if not self.camera.alive:  # nobody would see it
+        if not self.camera.alive:  # no frame would come
             self.keeper.dark(reason := self.camera.reason)
             if (picture := self.picture(began_s + self.params.timing.wait_s)) is not None:
                 with suppress(WrongPicture):
@@ -162,7 +147,7 @@ class Rig:
         return given, taken
 
     def limit(self, shine: Shine, now_s: float) -> LimitedLight:
-        """Light within the limits, given the current light, or the time since the lamp was darkened."""
+        """Light within the limits, given the current light or the time since the lamp was darkened."""
         dark_s = self.keeper.dark_since_s
         before, changed_s = (self._stands, self._changed_s) if dark_s is None else (None, dark_s)
         given = limit(shine, before, now_s - changed_s, self.limits)
@@ -171,20 +156,16 @@ class Rig:
         return given
 
     def show(self, shine: Shine) -> None:
-        """Show light that is within the limits, with the mark."""
+        """Show light that is within the limits, together with the mark."""
         self._stands, self._changed_s = shine.net_pictures, time.monotonic()
         marked = shine.pictures if self.params.mark is None else draw_mark(shine.pictures, self.params.mark, shine.number)
         self.keeper.show(Shine(shine.number, marked, shine.commands))
 
     def picture(self, until_s: float) -> CameraPicture | None:
-        """The camera's next picture, triggered where it needs that, None if none has arrived by until_s."""
+        """The camera's next picture, triggered if required; None if none arrives until until_s."""
         if self.params.has_trigger:
             self.camera.trigger()
         return self.camera.next(until_s)
-
-    def dark(self, reason: str) -> None:
-        """Darken the lamp until light is shown again. reason: in words."""
-        self.keeper.dark(reason)
 
     def _wait_until(self, until_s: float) -> None:
         while (left_s := until_s - time.monotonic()) > 0:
@@ -193,7 +174,7 @@ class Rig:
 
     def _done(self, began_s: float) -> None:
         self.statistics.ended_s = time.monotonic()
-        self.statistics.hold.add(self.statistics.ended_s - began_s)
+        self.statistics.holds_s.append(self.statistics.ended_s - began_s)
         self.keeper.beat()
 
     def _lost(self, number: int, sent_s: float, reason: str) -> RigFrame:
@@ -221,7 +202,7 @@ class Rig:
                 statistics.seen[why] += 1
                 last = {"late": "all pictures had lain in a queue"}.get(why, "no picture that shows this light alone came")
                 continue
-            taken = self._looked_at(picture, number, since_s)
+            taken = self._frame_of(picture, number, since_s)
             if isinstance(taken, RigFrame):
                 statistics.seen["taken"] += 1
                 return taken
@@ -229,21 +210,23 @@ class Rig:
         return self._lost(number, began_s, f"{last} in {timing.wait_s:g} s" if self.camera.alive else self.camera.reason)
 
     def refuse_misfit(self) -> None:
-        """Raises LuxloopError where the camera's next picture cannot become the scenario's image; a triggered camera sends none yet."""
+        """Raise LuxloopError if the camera's next picture cannot become the scenario's image; a triggered camera sends none yet."""
         picture = None if self.params.has_trigger else self.camera.next(time.monotonic() + self.params.camera.timeout_s)
         if picture is not None and self.rectify is not None:
             self.rectify(picture.data)
 
     def _rejection(self, picture: CameraPicture, since_s: float) -> str | None:
-        """Why a picture may not show only the light sent at since_s: "old", "mixed", or "late" if it lay in a buffer; else None."""
+        """Reason why a picture may show other light than that sent at since_s: "old", "mixed", or "late" if it was in a buffer; else
+        None.
+        """
         lag_s = picture.arrived_s - since_s
-        if self.params.has_trigger:  # which has no rhythm
+        if self.params.has_trigger:  # a triggered camera has no rhythm
             return None if lag_s > self.params.timing.clear_s else "old"
         content = shows(lag_s, self.params.timing, picture.late_s)
         return content if content != "clear" else None if picture.awaited else "late"
 
     def _image(self, picture: CameraPicture) -> Image:
-        """The scenario's image. Raises WrongPicture if the picture does not fit, which darkens the lamp if it goes on."""
+        """The scenario's image. Raises WrongPicture if the picture does not fit, which darkens the lamp if it persists."""
         try:
             image = np.zeros((1, 1), np.float32) if self.rectify is None else self.rectify(picture.data)
         except WrongPicture as error:
@@ -252,8 +235,8 @@ class Rig:
         self.camera.note_misfit(None)
         return image
 
-    def _looked_at(self, picture: CameraPicture, number: int, since_s: float) -> RigFrame | str:
-        """The frame of a picture, or the reason why it cannot be used."""
+    def _frame_of(self, picture: CameraPicture, number: int, since_s: float) -> RigFrame | str:
+        """Frame of a picture, or the reason why the picture cannot be used."""
         try:
             image = self._image(picture)
         except WrongPicture as error:
@@ -264,13 +247,13 @@ class Rig:
             if found != number % CODES:
                 self.statistics.seen["unmarked" if found is None else "of another exposure"] += 1
                 return "no picture with this exposure's mark came" if found is None else "the mark was that of another exposure"
-            if self._marked != number:  # the light may have come in its midst; the next picture begins after it has ended
+            if self._marked != number:  # the light may have changed during this picture
                 self._marked = number
                 self.statistics.seen["first of its mark"] += 1
                 return "no second picture with this exposure's mark came"
-        if self.keeper.since_s != since_s:  # while it was looked at
+        if self.keeper.since_s != since_s:  # the light was interrupted meanwhile
             return self.keeper.reason or "the light changed"
-        self.statistics.lateness.add(picture.arrived_s - since_s)
+        self.statistics.lateness_s.append(picture.arrived_s - since_s)
         self.statistics.silent = 0
         return RigFrame(since_s, picture.arrived_s, image, data=picture.data)
 
@@ -279,7 +262,7 @@ class Rig:
 def open_rig(params: RigParams, grids: Grids, camera: CameraParams | None, *, armed: bool) -> Iterator[Rig]:
     """Open a rig, and darken it at the end in any case.
 
-    grids: rows and columns of the modules' pixels. camera: the scenario's, None if images are not needed. armed: whether the lamp is lit.
+    grids: rows and columns of the modules' pixels. camera: the scenario's, None if images are not needed. armed: whether to light the lamp.
     Raises LuxloopError if a device cannot be opened.
     """
     limits = params.limits
@@ -298,7 +281,7 @@ def open_rig(params: RigParams, grids: Grids, camera: CameraParams | None, *, ar
 
 
 def await_camera(rig: Rig, seconds: float = CAMERA_S) -> bool:
-    """Wait for the camera's first pictures, until its period is known; returns whether pictures arrive."""
+    """Wait for the camera's first pictures until its period is known; returns whether pictures arrive."""
     until_s, triggered = time.monotonic() + seconds, rig.params.has_trigger
     while time.monotonic() < until_s:
         picture = rig.picture(time.monotonic() + (rig.params.timing.wait_s if triggered else 0.05))
@@ -307,11 +290,11 @@ def await_camera(rig: Rig, seconds: float = CAMERA_S) -> bool:
     return rig.camera.alive
 
 
-LOOK_S: Final = 3.0
+LOOK_S = 3.0
 
 
 def look(rig: Rig, seconds: float = LOOK_S) -> dict[str, Any]:
-    """Rate, sizes and brightness of the camera's pictures in some seconds. Raises LuxloopError if fewer than two arrive."""
+    """Rate, sizes and brightness of the camera's pictures during a time. Raises LuxloopError if fewer than two arrive."""
     if not await_camera(rig):
         raise LuxloopError(rig.camera.reason)
     rig.camera.forget()

@@ -2,17 +2,14 @@
 
 import asyncio
 import json
-import socket
 import struct
 import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from http import HTTPStatus
-from ipaddress import ip_address
 from pathlib import Path
-from typing import Any, Final
-from urllib.parse import urlsplit
+from typing import Any
 
 import numpy as np
 from websockets.asyncio.server import ServerConnection, serve
@@ -23,22 +20,22 @@ from luxloop.loop.rig.arrays import Grids, Image
 from luxloop.loop.rig.light import Shine, places
 from luxloop.loop.rig.params import ScreenLightParams
 from luxloop.loop.rig.wire.ddp import codes_of
-from luxloop.loop.rig.wire.sockets import listening
+from luxloop.loop.rig.wire.sockets import is_own_host, listening
 from luxloop.world.errors import LuxloopError
 
-DARK: Final = '{"dark": true}'  # to the page
-HEAD: Final = struct.Struct(">IHH")  # of a message: number of the light, width and height of its picture
+DARK = '{"dark": true}'  # to the page
+HEAD = struct.Struct(">IHH")  # of a message: number of the light, width and height of its picture
 
 
 def stack_pictures(pictures: Sequence[Image]) -> Image:
-    """Pictures of all modules below each other, the first on top, each at the left: `[sum of rows, most columns]`, black beside them."""
+    """Pictures of all modules one below the other, left-aligned, black beside: `[sum of rows, most columns]`."""
     width = max(each.shape[1] for each in pictures)
     return np.concatenate([np.pad(each, ((0, 0), (0, width - each.shape[1]))) for each in pictures])
 
 
 def split_picture(picture: Image, grids: Grids) -> Image:
-    """The pixels `[n]` of all modules one after another, row by row, of a picture. grids: rows and columns of each. Raises ValueError where
-    the picture has another size.
+    """Pixels `[n]` of all modules one after another, row by row, from a picture of `stack_pictures`. grids: rows and columns of each
+    module. Raises ValueError if the picture has another size.
     """
     rows, columns = np.transpose(grids)
     if picture.shape != (rows.sum(), columns.max()):
@@ -48,27 +45,27 @@ def split_picture(picture: Image, grids: Grids) -> Image:
 
 
 def message_of(number: int, codes: Image) -> bytes:
-    """The bytes of a picture `[height, width]`: `HEAD`, big endian, and a byte a pixel, row by row from the top."""
+    """Message of a picture `[height, width]`: `HEAD`, big endian, and a byte per pixel, row by row from the top."""
     return HEAD.pack(number % 2**32, codes.shape[1], codes.shape[0]) + codes.tobytes()
 
 
 def understood(message: bytes) -> tuple[int, Image]:
-    """The number of a message and its picture `[height, width]`. Raises ValueError where it is none."""
+    """Number and picture `[height, width]` of a message. Raises ValueError for other bytes."""
     if len(message) < HEAD.size:
         raise ValueError(f"a message of {len(message)} bytes has no head")
     number, width, height = HEAD.unpack_from(message)
     return number, np.frombuffer(message, np.uint8, offset=HEAD.size).reshape(height, width)
 
 
-PAGE: Final = Path(__file__).parent / "page" / "screen.html"
-LARGEST_ANSWER: Final = 1000  # bytes
-CONFIRMED_S: Final = 0.5  # in which a page has to say that it shows a frame
+PAGE = Path(__file__).parent / "page" / "screen.html"
+LARGEST_ANSWER = 1000  # bytes
+CONFIRMED_S = 0.5  # time-out of a page's confirmation
 
 
 class ScreenLight:
-    """Serves the page. The page that has connected last shows the light; a frame counts as shown once this page has confirmed it.
+    """Server of the page. The latest page to connect shows the light; a frame counts as shown once this page has confirmed it.
 
-    answer: the page's confirmation of the newest frame: its number, and drawn_ms, presented_ms and now_ms by the page's clock.
+    answer: confirmation of the newest frame: its number, and drawn_ms, presented_ms and now_ms by the page's clock.
     """
 
     def __init__(self, params: ScreenLightParams, grids: Grids) -> None:
@@ -77,7 +74,7 @@ class ScreenLight:
         self._order = [places(params.scan.model_copy(update={"columns_first": False}), *grid) for grid in grids]
         self._changed = threading.Condition()
         self._page: ServerConnection | None = None
-        self._shown_on: ServerConnection | None = None  # None where the page has darkened by itself since
+        self._shown_on: ServerConnection | None = None  # None after the page has darkened by itself
         self._number, self.answer = -1, dict[str, Any]()
         self._failed: LuxloopError | None = None
         self.port = 0
@@ -102,7 +99,7 @@ class ScreenLight:
                 raise LuxloopError("light: no page has connected; open the address that was printed on the projector")
 
     def show(self, shine: Shine) -> str | None:
-        """Send new light and wait until the page has shown it; for current light only signal that the loop is alive."""
+        """Send new light and wait until the page has shown it; for current light only send a sign of life."""
         page = self._page
         if page is None:
             return f"light: no page shows it; open http://{self._params.host}:{self.port}/ on the projector"
@@ -122,7 +119,7 @@ class ScreenLight:
         return None if done else self._undone("light: the page has not shown it in time")
 
     def _undone(self, reason: str) -> str:
-        """The next light is sent whole."""
+        """Have the next light sent whole; returns the reason."""
         self._number = -1
         return reason
 
@@ -132,7 +129,7 @@ class ScreenLight:
             self._send(self._page, DARK)
 
     def close(self) -> None:
-        """Close the page's connection, which darkens the page, and stop listening."""
+        """Close the connection, which darkens the page, and stop listening."""
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self._stop.set)
         self._thread.join(2)
@@ -142,7 +139,7 @@ class ScreenLight:
             with suppress(ConnectionClosed):
                 await page.send(data)
 
-        with suppress(RuntimeError, TimeoutError):  # the loop has ended, or the page takes nothing
+        with suppress(RuntimeError, TimeoutError):  # the event loop has ended, or the page does not read
             asyncio.run_coroutine_threadsafe(send(), self._loop).result(CONFIRMED_S)
 
     def _run(self) -> None:
@@ -172,7 +169,7 @@ class ScreenLight:
     def _file(self, connection: ServerConnection, request: Request) -> Response | None:
         host, origin = request.headers.get("Host", "").lower(), request.headers.get("Origin")
         path = request.path.partition("?")[0]
-        if path == "/light" and _is_ours(host) and (origin is None or origin.lower() == f"http://{host}"):
+        if path == "/light" and is_own_host(host) and (origin is None or origin.lower() == f"http://{host}"):
             return None
         if path != "/":
             return connection.respond(HTTPStatus.NOT_FOUND, "There is no such file.\n")
@@ -211,14 +208,3 @@ class ScreenLight:
             with self._changed:
                 self.answer = {**answer, "arrived_s": time.monotonic()}
                 self._changed.notify_all()
-
-
-def _is_ours(host: str) -> bool:
-    """Whether a Host header names this machine: a page of somebody else, whose name is made to lead here, has that name in it."""
-    try:
-        name = urlsplit(f"//{host}").hostname or ""
-    except ValueError:
-        return False
-    with suppress(ValueError):
-        return bool(ip_address(name))
-    return name in ("localhost", socket.gethostname().lower())

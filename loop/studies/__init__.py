@@ -1,1 +1,1 @@
-"""Campaigns of many runs, and tuning of parameters."""
+"""Studies: campaigns, tuning, evaluation of pixel controllers, data sets, detector training, learning environments, contracts."""

@@ -1,6 +1,7 @@
-"""`luxloop optimise-beam`: optimise a beam for a scenario's start (T fig. 9.3), and write utilisations to play, and figures.
+"""`luxloop optimise-beam`: optimise a beam at a scenario's start (T fig. 9.3); writes utilisations to play, and figures.
 
-The objective is a detector's confidence or an image metric, less the cost of light."""
+The objective is a detector's confidence or an image metric, less the cost of light.
+"""
 
 import shlex
 from collections.abc import Callable, Mapping, Sequence
@@ -39,24 +40,27 @@ from luxloop.world.files import atomic_write, output_folder, whole
 from luxloop.world.params import Params
 
 Metric = Literal["detector", "weber_contrast", "edges"]
-FAINTEST = 1e-6  # of a score, so that its logarithm stays finite
-DAZZLING_LX = 1.0  # illuminance on eyes above which it counts as glare
-SEEN = 0.3  # least visible share of an object that counts
-LEAST_PX = 60
+FAINTEST = 1e-6  # least score, for a finite logarithm
+DAZZLING_LX = 1.0  # illuminance of eyes from which on light is glare
+SEEN, LEAST_PX = 0.3, 60  # least visible share and pixels of an evaluated object
 
 
 class BeamGoal(Params):
-    """Weights of the loss: the negative mean logarithm of the objects' scores plus the cost of light."""
+    """Weights of the loss, the negative mean logarithm of the objects' scores plus the cost of light."""
 
-    metric: Metric = Field("detector", description="metric of the objects to maximise")
-    energy: float = Field(2.0, ge=0, description="weight of the lamps' flux, as a share of all pixels on")
-    unevenness: float = Field(0.0, ge=0, description="weight of the unevenness of light on objects: standard deviation over mean")
-    glare: float = Field(0.1, ge=0, description="weight of each lx above 1 lx on heads and windscreens")
+    metric: Metric = Field("detector", description="metric of the objects, to be maximised")
+    energy: float = Field(2.0, ge=0, description="weight of the lamps' flux relative to all pixels on")
+    unevenness: float = Field(0.0, ge=0, description="weight of the unevenness of light on objects, standard deviation over mean")
+    glare: float = Field(0.1, ge=0, description="weight per lx above 1 lx on heads and windscreens")
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Effect of a light. scores: `[n]` of the objects; loss: total, with the scores' logarithm; share: flux as share of all pixels on."""
+    """Effect of a beam.
+
+    scores: `[n]`, of the objects. loss: with the scores' logarithm. share: flux relative to all pixels on. luminance: `[height, width]`
+    cd/m^2.
+    """
 
     scores: Tensor
     loss: Tensor
@@ -66,7 +70,7 @@ class Evaluation:
 
 @dataclass(frozen=True, eq=False)
 class BeamEvaluator:
-    """A still scene in which beams are evaluated. detector: None for image metrics."""
+    """A still scene for evaluating beams. detector: None for image metrics."""
 
     simulation: Simulation
     goal: BeamGoal
@@ -75,7 +79,7 @@ class BeamEvaluator:
 
     @classmethod
     def prepare(cls, simulation: Simulation, goal: BeamGoal, detector: Detector | None) -> "BeamEvaluator":
-        """The scene at a simulation's start. Raises LuxloopError if no object that counts is in view."""
+        """Scene at a simulation's start. Raises LuxloopError if no object that counts is in view."""
         evaluator = cls(simulation, goal, detector, simulation.world.lit(0.0))
         if not evaluator.masks:
             raise LuxloopError("objects: none with a category that counts is in the camera's view at the start; put one there")
@@ -83,7 +87,7 @@ class BeamEvaluator:
 
     @cached_property
     def masks(self) -> dict[str, Tensor]:
-        """Pixels of the objects that count, by name: in sight, and of a class that the detector has."""
+        """Pixels of the evaluated objects by name: those in sight whose class the detector knows."""
         ids, classes = self.scene.surfaces.object_id, None if self.detector is None else self.detector.classes
         return {
             each.name: ids == each.object_id
@@ -92,12 +96,12 @@ class BeamEvaluator:
         }
 
     def frame(self, luminance: Tensor, step: int, quantise: bool = False) -> Tensor:
-        """Digital numbers as a share of the largest, with the noise of a step."""
+        """Digital numbers as shares of the largest, with the noise of a step."""
         camera, seed = self.simulation.scenario.camera, self.simulation.scenario.seed
         return expose(luminance, camera, FrameNoise.of(seed, step, 0), quantise=quantise) / (2**camera.bits - 1)
 
     def evaluate(self, lights: Sequence[Tensor], step: int = 0) -> Evaluation:
-        """Differentiable in the utilisations `[n_p]`, one a module, if the metric is or the detector is the network."""
+        """Effect of utilisations `[n_p]`, one per module; differentiable for image metrics and luxloop's own network."""
         illuminance, luminance = self.scene.light(lights)
         luminance = luminance + self.scene.base
         scores = self.scores(luminance, step)
@@ -110,7 +114,7 @@ class BeamEvaluator:
         return Evaluation(scores, loss, torch.as_tensor(share), luminance)
 
     def scores(self, luminance: Tensor, step: int) -> Tensor:
-        """Of the objects, `[n]`."""
+        """Scores of the objects, `[n]`."""
         camera = self.simulation.scenario.camera
         if self.goal.metric != "detector":
             measure: Callable[[Tensor, Tensor, float], Tensor] = weber_contrast if self.goal.metric == "weber_contrast" else edge_definition
@@ -122,7 +126,7 @@ class BeamEvaluator:
         return self.confidences(self.frame(luminance.detach(), step, quantise=True))
 
     def confidences(self, frame: Tensor) -> Tensor:
-        """The detector's confidence in the objects, `[n]`: the best score of their class among boxes on them, 0 without one."""
+        """Confidence of the detector in the objects, `[n]`: the best score of their class among boxes on them, 0 without one."""
         assert self.detector is not None
         found = self.detector.detect(frame[None])[0]
         boxes, scores = found.boxes.double().cpu(), found.scores.double().cpu()
@@ -131,7 +135,7 @@ class BeamEvaluator:
         return torch.where(shows, of_class, 0.0).amax(1) if len(boxes) else torch.zeros(len(self.masks), dtype=torch.float64)
 
     def _likeliest(self, network: Network, frame: Tensor) -> Tensor:
-        """The confidence before suppression, differentiable: the best score of cells whose boxes lie on an object."""
+        """Differentiable confidence before suppression: the best score of cells whose boxes lie on an object."""
         logits, sides = network(network_input(frame[None]))
         scores = logits[0].flatten(1).sigmoid()
         boxes = boxes_of(sides)[0].flatten(1).T.detach().double().cpu()
@@ -139,13 +143,13 @@ class BeamEvaluator:
         rows, columns = logits.shape[-2:]
         x, y = middles(rows, columns, boxes.device).flatten(1)
         left, top, right, bottom = self.boxes.T[..., None]
-        within = (x >= left) & (x <= right) & (y >= top) & (y <= bottom)  # cells inside an object that no box shows yet
+        within = (x >= left) & (x <= right) & (y >= top) & (y <= bottom)  # cells inside an object, for objects without a box
         shows = torch.where(shows.any(1, keepdim=True), shows, within).to(scores.device)
         return torch.where(shows, scores[self._labels.to(scores.device)], 0.0).amax(1)
 
     @cached_property
     def boxes(self) -> Tensor:
-        """Of the objects that count, `[n, 4]` px."""
+        """Boxes of the evaluated objects, `[n, 4]` px."""
         return torch.stack([box for each, box in zip(self.scene.objects, self.scene.boxes, strict=True) if each.name in self.masks])
 
     @cached_property
@@ -159,32 +163,25 @@ class BeamEvaluator:
         return float(sum(module.flux.sum() for module in self.simulation.modules))
 
 
-RATE = 0.02  # of Adam, in utilisation a step at most or so
-START = 0.1  # utilisation of all pixels where the scenario has no base beam
-PATCHES = (3, 8)  # rows and columns of patches of light for sampling
+RATE = 0.02  # of Adam, about the largest change of a utilisation per step
+START = 0.1  # utilisation of all pixels if the scenario has no base beam
+PATCHES = (3, 8)  # rows and columns of light patches for sampling
 Lights = tuple[Tensor, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class SearchResult:
-    """Utilisations `[n_p]`, one a module, and the loss of every step or trial."""
-
-    lights: Lights
-    losses: tuple[float, ...]
+Search = tuple[Lights, list[float]]  # utilisations `[n_p]`, one per module, and the loss of every step or trial
 
 
 def begin(evaluator: BeamEvaluator) -> Lights:
-    """The scenario's base beam, or all pixels at START if it is off."""
+    """Start utilisations: the scenario's base beam, or all pixels at START if it is off."""
     simulation = evaluator.simulation
     plan = simulation.planner.plan(simulation.situation(0.0))
     base = tuple(module.base(plan).float() for module in simulation.modules)
     return base if any(bool(u.any()) for u in base) else tuple(torch.full_like(u, START) for u in base)
 
 
-def descend(
-    evaluator: BeamEvaluator, start: Lights, steps: int, on_step: Callable[[int, float], None] = lambda step, loss: None
-) -> SearchResult:
-    """Adam on the utilisations of all pixels, held within 0..1; every step has a noise of its own."""
+def descend(evaluator: BeamEvaluator, start: Lights, steps: int, on_step: Callable[[int, float], None] = lambda step, loss: None) -> Search:
+    """Adam on the utilisations of all pixels, limited to 0..1; each step has its own noise."""
     lights = [u.clone().requires_grad_(True) for u in start]
     optimiser, losses = torch.optim.Adam(lights, RATE, betas=(0.9, 0.99)), []
     for step in range(steps):
@@ -197,13 +194,11 @@ def descend(
                 u.clamp_(0, 1)
         losses.append(loss.item())
         on_step(step, losses[-1])
-    return SearchResult(tuple(u.detach() for u in lights), tuple(losses))
+    return tuple(u.detach() for u in lights), losses
 
 
-def sample(
-    evaluator: BeamEvaluator, start: Lights, trials: int, on_step: Callable[[int, float], None] = lambda step, loss: None
-) -> SearchResult:
-    """Optuna's tree-structured Parzen estimator on the levels of the start and of a few patches of light, for any detector."""
+def sample(evaluator: BeamEvaluator, start: Lights, trials: int, on_step: Callable[[int, float], None] = lambda step, loss: None) -> Search:
+    """Optuna's tree-structured Parzen estimator on the levels of the start beam and of light patches, for any detector."""
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=evaluator.simulation.scenario.seed, multivariate=True))
     names = [f"patch {row} {column}" for row in range(PATCHES[0]) for column in range(PATCHES[1])]
@@ -224,26 +219,26 @@ def sample(
             losses.append(float(evaluator.evaluate(lights_of(levels), number).loss))
         study.tell(trial, losses[-1])
         on_step(number, losses[-1])
-    return SearchResult(lights_of(study.best_params), tuple(losses))
+    return lights_of(study.best_params), losses
 
 
 def alike(lights: Sequence[Tensor], flux: Sequence[Tensor], lm: float) -> Lights:
-    """The beam scaled to a luminous flux in lm: utilisations `[n_p]` of each module, limited to 1."""
+    """Beam scaled to a luminous flux in lm: utilisations `[n_p]` of each module, limited to 1."""
     total = float(sum((u * f).sum() for u, f in zip(lights, flux, strict=True)))
     return tuple((u * (lm / max(total, 1e-9))).clamp(max=1) for u in lights)
 
 
 WALL_COLUMNS = 360
-FAINTEST_LX = 0.1  # on the wall, that is shown as black
-CHARACTERS = 250  # of marks, side by side, that fill all pictures of the camera
-BRIGHT = 0.995  # quantile of the luminance found that is shown as white
+FAINTEST_LX = 0.1  # on the wall, drawn black
+CHARACTERS = 250  # of marks, over the width of all pictures
+BRIGHT = 0.995  # quantile of the optimised luminance drawn white
 
 
 @torch.no_grad()
 def write_picture(
     file: Path, evaluator: BeamEvaluator, beams: Mapping[str, Lights], losses: Sequence[float], summary: dict[str, Any]
 ) -> None:
-    """Raises LuxloopError if it cannot be written."""
+    """Draw camera pictures and wall light of the beams, and the loss. Raises LuxloopError on a write error."""
     camera = evaluator.simulation.scenario.camera
     images = [evaluator.frame(evaluator.evaluate(lights).luminance, 0, True) * (2**camera.bits - 1) for lights in beams.values()]
     seen = [luminance_of(image, camera).cpu() for image in images]
@@ -280,7 +275,7 @@ def write_picture(
 
 Method = Literal["auto", "gradient", "sampling"]
 STEPS: Mapping[str, int] = {"gradient": 80, "sampling": 150}
-FRAMES = 8  # with different noise, over which a detector's scores are averaged
+FRAMES = 8  # frames with different noise for mean scores
 RAW, PICTURE, SUMMARY = "raw.toml", "beam.png", "beam.json"
 
 
@@ -289,8 +284,7 @@ def optimise_beam(
 ) -> dict[str, Any]:
     """Optimise a beam, write and print it; returns its figures. played_by: arguments of `luxloop run`, `--set` last.
 
-    Raises LuxloopError for scenarios without objects in sight, and, before the search, a folder that
-    cannot be made.
+    Raises LuxloopError for scenarios without objects in sight, and, before the search, for a folder that cannot be made.
     """
     scenario = scenario.model_copy(update={"functions": {}})
     simulation = Simulation.prepare(scenario, torch_device(device))
@@ -300,12 +294,12 @@ def optimise_beam(
     start, number = begin(evaluator), steps or STEPS[method]
     search = descend if method == "gradient" else sample
     with output_folder(out), tables.progress("searching", number) as advance:
-        found = search(evaluator, start, number, lambda step, loss: advance())
-        lm = sum(flux_by_side(simulation.modules, found.lights).values())
+        lights, losses = search(evaluator, start, number, lambda step, loss: advance())
+        lm = sum(flux_by_side(simulation.modules, lights).values())
         as_dim = alike(start, [module.flux for module in simulation.modules], lm)
-        beams = {"before": start, "before, as much flux": as_dim, "found": found.lights}
-        summary = _summary(evaluator, method, found, beams)
-        _write(out, evaluator, found, beams, summary)
+        beams = {"before": start, "before, as much flux": as_dim, "found": lights}
+        summary = _summary(evaluator, method, losses, beams)
+        _write(out, evaluator, losses, beams, summary)
     _tell(summary, f"{played_by} {shlex.quote(str(out / RAW))}")
     return summary
 
@@ -328,14 +322,14 @@ def _method(asked: Method, evaluator: BeamEvaluator) -> Literal["gradient", "sam
     return "gradient" if smooth else "sampling"
 
 
-def _summary(evaluator: BeamEvaluator, method: str, found: SearchResult, beams: Mapping[str, Lights]) -> dict[str, Any]:
+def _summary(evaluator: BeamEvaluator, method: str, losses: Sequence[float], beams: Mapping[str, Lights]) -> dict[str, Any]:
     return {
         "metric": evaluator.goal.metric,
         "method": method,
         "weights": evaluator.goal.model_dump(exclude={"metric"}),
-        "steps": len(found.losses),
-        "loss_first": found.losses[0],
-        "loss_last": min(found.losses) if method == "sampling" else found.losses[-1],
+        "steps": len(losses),
+        "loss_first": losses[0],
+        "loss_last": min(losses) if method == "sampling" else losses[-1],
         "beams": {name: _figures(evaluator, lights) for name, lights in beams.items()},
     }
 
@@ -353,9 +347,9 @@ def _figures(evaluator: BeamEvaluator, lights: Lights) -> dict[str, Any]:
     }
 
 
-def _write(out: Path, evaluator: BeamEvaluator, found: SearchResult, beams: Mapping[str, Lights], summary: dict[str, Any]) -> None:
+def _write(out: Path, evaluator: BeamEvaluator, losses: Sequence[float], beams: Mapping[str, Lights], summary: dict[str, Any]) -> None:
     entries = []
-    for module, u in zip(evaluator.simulation.modules, found.lights, strict=True):
+    for module, u in zip(evaluator.simulation.modules, beams["found"], strict=True):
         file = out / f"{module.name.replace(' ', '-')}.npz"
         with whole(file) as part, part.open("wb") as stream:
             np.savez_compressed(stream, u=u.cpu().numpy().reshape(module.headlight.pixel_rows, module.headlight.pixel_cols))
@@ -363,11 +357,11 @@ def _write(out: Path, evaluator: BeamEvaluator, found: SearchResult, beams: Mapp
     cleared = "".join(f"{toml_key(key)} = {{}}\n" for key in _gone(evaluator.simulation))
     atomic_write(out / RAW, f"{cleared}\n[lighting]\nraw = [\n{''.join(entries)}]\n")
     write_json(out / SUMMARY, summary)
-    write_picture(out / PICTURE, evaluator, beams, found.losses, summary)
+    write_picture(out / PICTURE, evaluator, beams, losses, summary)
 
 
 def _gone(simulation: Simulation) -> list[str]:
-    """Keys that mean nothing without functions, of a simulation that has none."""
+    """Scenario keys without effect in a simulation without functions."""
     scenario, known = simulation.scenario, set(schema(simulation).names) - {"dark_lx_max"}
     spells = {key: getattr(scenario.disturbances, key) for key in ("oncoming", "ambient")}
     return [

@@ -1,4 +1,4 @@
-"""`luxloop campaign`: a grid or list of runs from one TOML file into one table, resumable, on this machine or on many."""
+"""`luxloop campaign`: a grid or list of runs from a TOML file into one table, resumable, on one machine or many."""
 
 import json
 import math
@@ -31,39 +31,39 @@ Row = dict[str, Any]
 
 
 class RunParams(Params):
-    """One single run of a campaign."""
+    """A single run of a campaign."""
 
-    scenario: str = Field(min_length=1, examples=["snowflake"], description="shipped scenario, or file relative to the campaign's file")
+    scenario: str = Field(min_length=1, examples=["snowflake"], description="shipped scenario, or file relative to the campaign file")
     controller: str | None = Field(None, description="controller; left out: the scenario's own")
     variant: str | None = Field(None, description="name of a variant; left out: none")
     seed: Seed = Field(0, description="seed of all noise")
 
 
 class CampaignParams(Params):
-    """A campaign: all combinations of scenarios, controllers, variants and seeds, and single runs beside them."""
+    """A campaign: all combinations of scenarios, controllers, variants and seeds, and single runs."""
 
     scenarios: tuple[Annotated[str, Field(min_length=1)], ...] = Field(
-        (), description="shipped scenarios, or files relative to the campaign's file"
+        (), description="shipped scenarios, or files relative to the campaign file"
     )
     controllers: tuple[str, ...] = Field(
-        (), description="controllers, with the scenario's settings for them; left out: each scenario's own"
+        (), description="controllers, with each scenario's settings; left out: each scenario's own controller"
     )
     seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field((0,), min_length=1, description="seeds of all noise")
-    set: dict[str, Any] = Field({}, description="keys to change in every scenario, written as in a scenario file")
-    variants: dict[str, dict[str, Any]] = Field({}, description="named tables of further changes; left out: one variant without changes")
+    set: dict[str, Any] = Field({}, description="changed keys of all scenarios, written as in a scenario file")
+    variants: dict[str, dict[str, Any]] = Field({}, description="named tables of further changed keys; left out: one variant, unchanged")
     runs: tuple[RunParams, ...] = Field((), description="single runs in addition to the grid")
 
 
 @dataclass(frozen=True)
 class Run:
-    """One run: its parameters in the campaign, and its scenario with all changes of the campaign."""
+    """A run of a campaign: its parameters, and its scenario with all changes."""
 
     params: RunParams
     scenario: Scenario
 
     @property
     def row(self) -> Row:
-        """The columns that identify the run."""
+        """Columns that identify the run."""
         held = self.scenario.symbol.controller if len(self.scenario.symbols) == 1 else None
         controller = None if held is None else held.name
         return {
@@ -76,15 +76,14 @@ class Run:
 
     @property
     def key(self) -> str:
-        return ", ".join(str(value) for name, value in self.row.items() if name in ("scenario", "controller", "variant") and value) + (
-            f", seed {self.params.seed}"
-        )
+        names = (self.row[name] for name in ("scenario", "controller", "variant"))
+        return ", ".join([*filter(None, names), f"seed {self.params.seed}"])
 
 
 def read(file: Path, *, allow_code: bool = False) -> list[Run]:
-    """The runs of a campaign file. allow_code: whether Python modules that it or its scenarios name may run.
+    """Runs of a campaign file. allow_code: whether Python modules named there or in its scenarios may run.
 
-    Raises LuxloopError that names the file, the key and the remedy.
+    Raises LuxloopError with the file, the key and the remedy.
     """
     data = read_toml(file)
     with locate(str(file)):
@@ -102,10 +101,10 @@ def read(file: Path, *, allow_code: bool = False) -> list[Run]:
 
 
 def run_campaign(file: Path, out: Path, *, device: str = "cpu", executor: Executor = ALL_CORES, allow_code: bool = False) -> Results:
-    """Do the runs whose results `out` does not hold yet, and write the table of all runs: rows in the order of the file, each with
-    identity, metrics, and `error`, empty on success.
+    """Run what `out` does not hold yet, and write the table of all runs: rows in the order of the file, each with identity, metrics, and
+    `error`, empty on success.
 
-    Raises what `read`, `luxloop.loop.studies.jobs.run` and `luxloop.world.files.output_folder` raise.
+    Raises as `read`, `luxloop.loop.studies.jobs.run` and `luxloop.world.files.output_folder`.
     """
     runs = read(file, allow_code=allow_code)
     jobs = [
@@ -114,7 +113,7 @@ def run_campaign(file: Path, out: Path, *, device: str = "cpu", executor: Execut
     ]
     with output_folder(out):
         results = run(figures_of, jobs, out / JOBS, version=digest_of_code(), executor=executor, title="runs", kind=kind_of)
-        given = {"scenario", "inputs", "device", "controller"}  # of a job; the last is a figure of a symbol
+        given = {"scenario", "inputs", "device", "controller"}  # parameters of a job; the last is a figure of a symbol
         found = {row["key"]: {name: value for name, value in row.items() if name not in {"key", *given}} for row in results.rows}
         rows = [{"key": each.key, **each.row, **found.get(each.key, {}), "error": results.failures.get(each.key, "")} for each in runs]
         columns = list(dict.fromkeys(name for row in rows for name in row))
@@ -124,7 +123,7 @@ def run_campaign(file: Path, out: Path, *, device: str = "cpu", executor: Execut
 
 
 def kind_of(parameters: Mapping[str, Any]) -> str | None:
-    """Jobs of one kind are done together (`luxloop.loop.studies.runs.kind`): they have the same files on the same device, too."""
+    """Kind of a job, for batches (`luxloop.loop.studies.runs.kind`); jobs of one kind also share files and device."""
     from luxloop.loop.studies.runs import kind
 
     found = kind(validate(parameters["scenario"], str(parameters["scenario"]["name"])))
@@ -132,12 +131,12 @@ def kind_of(parameters: Mapping[str, Any]) -> str | None:
 
 
 def figures_of(parameters: Sequence[Mapping[str, Any]]) -> list[Row | Exception]:
-    """Jobs of one kind: run their scenarios and return the metrics of each, or the error that it raised."""
+    """Metrics of each scenario of jobs of one kind, or the error of its run."""
     return [each if isinstance(each, Exception) else each[0] for each in runs_of_many(parameters)]
 
 
 def runs_of_many(parameters: Sequence[Mapping[str, Any]]) -> "list[tuple[Row, Rollout | None] | Exception]":
-    """Figures and trace of each run of one kind, or the error that it raised.
+    """Figures and trace of each run of one kind, or its error.
 
     parameters: of each run scenario, inputs (`luxloop.loop.recording.manifest.digests` of its files, part of a job's identity) and device.
     """
@@ -145,14 +144,14 @@ def runs_of_many(parameters: Sequence[Mapping[str, Any]]) -> "list[tuple[Row, Ro
 
     try:
         return list(runs([job_scenario(each["scenario"], each["inputs"]) for each in parameters], parameters[0]["device"]))
-    except Exception as error:  # each says its own
+    except Exception as error:  # then one by one
         return [error] if len(parameters) == 1 else [found for each in parameters for found in runs_of_many([each])]
 
 
 def job_scenario(scenario: Mapping[str, Any], inputs: dict[str, str]) -> Scenario:
-    """A job's scenario, ready to run with one thread, so that metrics do not depend on the machine.
+    """Scenario of a job, to be run with one thread, so that metrics do not depend on the machine.
 
-    Raises LuxloopError if it is no scenario, or its files differ on this machine.
+    Raises LuxloopError if it is invalid, or its files differ on this machine.
     """
     import torch
 

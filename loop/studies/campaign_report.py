@@ -1,4 +1,4 @@
-"""The report of a campaign as Markdown: means and worst cases over seeds, a picture, and failed runs."""
+"""Report of a campaign as Markdown: means and worst cases over seeds, a picture, and failed runs."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -34,7 +34,7 @@ SHOWN = {
 
 
 def do_campaign(file: Path, out: Path | None, processes: int | None, scheduler: str | None, device: str, allow_code: bool) -> bool:
-    """Run a campaign, write its report, print its table and the failed runs; returns whether all runs succeeded."""
+    """Run a campaign, write its report, print its table and failed runs; returns whether all runs succeeded."""
     if processes is not None and scheduler is not None:
         raise LuxloopError("--jobs: applies to this machine, but --scheduler has its own workers; give one of the two")
     folder = out or Path("runs") / file.stem
@@ -49,7 +49,7 @@ def do_campaign(file: Path, out: Path | None, processes: int | None, scheduler: 
 
 
 def write_report(name: str, campaign: Results, out: Path) -> None:
-    """Write page and picture into a folder. Raises LuxloopError if they cannot be written."""
+    """Write page and picture into a folder. Raises LuxloopError on a write error."""
     _draw(campaign, out / PICTURE)
     atomic_write(out / REPORT, page(name, campaign))
 
@@ -69,7 +69,7 @@ def page(name: str, campaign: Results) -> str:
 
 
 def _figures(campaign: Results) -> tuple[list[str], list[list[str]]]:
-    """Columns, and a row for each scenario, controller and variant."""
+    """Column names, and a row for each scenario, controller and variant."""
     kinds = _kinds(campaign)
     body = [
         [*names, str(len(some)), *(_over(some, kind) for kind in kinds)]
@@ -79,7 +79,7 @@ def _figures(campaign: Results) -> tuple[list[str], list[list[str]]]:
 
 
 def _kinds(campaign: Results) -> list[str]:
-    """The metrics of which a run has one."""
+    """Metrics that at least one run has."""
     return [kind for kind in SHOWN if any(row.get(kind) is not None for row in campaign.rows)]
 
 

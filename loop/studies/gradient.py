@@ -1,4 +1,4 @@
-"""Gradient tuning: run, fit a surrogate of the symbol's errors to the runs, descend through predicted runs, and repeat."""
+"""Gradient tuning: run, fit a surrogate of the symbol's errors, descend through predicted runs, and repeat."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -41,7 +41,7 @@ from luxloop.perception.extraction import ExtractionParams, ExtractionStatus
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import lock_file
 
-NEAR = 0.02  # of the symbol's size: approximate error of a settled symbol
+NEAR = 0.02  # error of a settled symbol as a share of its size
 
 
 def near(simulation: Simulation) -> Tensor:
@@ -56,8 +56,10 @@ def near(simulation: Simulation) -> Tensor:
 
 @dataclass(frozen=True)
 class Surrogate:
-    """The surrogate. poses, offsets: `[n, 4]`, poses shown, and the symbol's errors less these poses. Errors are divided by their plant
-    gains, so that offsets vary only with the road. noise: `[4]`, standard deviation of the errors.
+    """Surrogate of the symbol's errors.
+
+    poses, offsets: `[n, 4]`, projected poses, and errors less these poses. Errors are divided by their plant gains, so that offsets vary
+    only with the road. noise: `[4]`, standard deviation of the errors.
     """
 
     poses: Tensor
@@ -66,19 +68,19 @@ class Surrogate:
 
     @classmethod
     def of(cls, runs: Sequence[Rollout], late: int) -> "Surrogate":
-        """Learn from runs whose frames are `late` steps late; at least one must have seen the symbol."""
+        """Surrogate of runs whose frames are `late` steps late; at least one run must have seen the symbol."""
         poses, offsets = [], []
         for each in runs:
             seen, shown = each.seen[0, late:], each.poses[0, : each.poses.shape[1] - late]
             poses.append(shown[seen])
             offsets.append((each.errors[0, late:] - shown)[seen])
-        most = max(len(each) for each in offsets)  # a run with few measurements does not show the noise
+        most = max(len(each) for each in offsets)  # runs with few measurements do not determine the noise
         noise = torch.stack([each[-FINAL:].std(0, correction=0) for each in offsets if len(each) >= min(most, FINAL)]).amin(0)
         return cls(torch.cat(poses), torch.cat(offsets), noise)
 
     def predicted(self, simulation: Simulation, values: dict[str, Tensor], noise: Tensor) -> Rollout:
-        """Predicted runs. values: gains `[B]` by key. noise: `[steps, B, 4]`, standard normal. Differentiable in the gains; nothing is
-        rendered.
+        """Predicted runs, differentiable in the gains, without rendering. values: gains `[B]` by key. noise: `[steps, B, 4]`, standard
+        normal.
         """
         apart = near(simulation)
 
@@ -96,13 +98,16 @@ class Surrogate:
 
 STARTS, DRAWS = 24, 3  # parallel descents, and noise draws of each
 STEPS, RATE = 120, 0.15  # of Adam, in logits of the ranges
-FROM_ENDS = 0.02  # of a range: distance from its ends at which descents start at least, since the slope vanishes at the ends
-FAR = 0.05  # weight of the distance to the target beside the share of steps outside the settled range
+FROM_ENDS = 0.02  # least distance of a start from the ends of a range, as a share, since the slope vanishes at the ends
+FAR = 0.05  # weight of the distance to the target relative to the share of unsettled steps
 
 
 @dataclass(frozen=True)
 class Iteration:
-    """One iteration: values by key, None where the scenarios differ; mean cost; traces of all runs in the order of `Task.runs`."""
+    """One iteration of a study.
+
+    values: by key, None if the scenarios differ. cost: mean. traces: of all runs in the order of `Task.runs`.
+    """
 
     values: Mapping[str, float | int | None]
     cost: float
@@ -110,10 +115,9 @@ class Iteration:
 
 
 def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) -> Tuning:
-    """Continue the study in a folder up to a number of trials; the first has the given values, all others are found by descent.
+    """Continue a study in a folder up to a number of trials; the first has the given values, the others come from descents.
 
-    Raises what `luxloop.loop.studies.tune.tune` and `luxloop.loop.studies.batch.rollouts.check` raise, and LuxloopError if a symbol is
-    never seen.
+    Raises as `luxloop.loop.studies.tune.tune` and `luxloop.loop.studies.batch.rollouts.check`, and LuxloopError if a symbol is never seen.
     """
     if whole := [each.key for each in task.ranges if each.whole]:
         raise LuxloopError(f"--key {whole[0]}: takes whole numbers, which have no gradient; leave it out, or tune without --gradient")
@@ -130,7 +134,7 @@ def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) 
         shown = trial_count(study)
         with progress("iterations", iterations, min(shown, iterations)) as advance:
             while True:
-                with lock_file(out / STUDY):  # each iteration uses all earlier ones, so processes take turns
+                with lock_file(out / STUDY):  # processes take turns, since an iteration uses all earlier ones
                     space = begin(study, task, out, execute)
                     if trial_count(study) >= iterations:
                         break
@@ -145,7 +149,7 @@ def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) 
 
 
 def descend(task: Task, simulations: Sequence[Simulation], before: Sequence[Iteration]) -> dict[str, float]:
-    """The values of least `loss`, by descent from the best earlier ones and random ones around them."""
+    """Values of least `loss`, by descents from the best earlier values and random ones around them."""
     scenes = [_surrogate(simulations, k, before) for k in range(len(simulations))]
     generator = torch.Generator().manual_seed(task.seed * 1000 + len(before))
     best = _logits(task, min(before, key=lambda iteration: iteration.cost).values)
@@ -170,9 +174,9 @@ def descend(task: Task, simulations: Sequence[Simulation], before: Sequence[Iter
 
 
 def loss(rollout: Rollout, simulation: Simulation) -> Tensor:
-    """Soft share of steps until the symbol is settled for good, `[B]`.
+    """Soft share of steps until the symbol has settled, `[B]`.
 
-    It replaces settling and residual, whatever the objective is.
+    It replaces settling and residual, whatever the objective.
     """
     squares = (rollout.errors / near(simulation)).square().amax(-1)
     ahead = squares.flip(-1).cummax(-1).values
@@ -180,14 +184,14 @@ def loss(rollout: Rollout, simulation: Simulation) -> Tensor:
 
 
 def _before(task: Task, study: optuna.Study) -> list[Iteration]:
-    """The given values first."""
+    """All iterations so far, the given values first."""
     trials = [trial for trial in study.get_trials(deepcopy=False) if TRACES in trial.user_attrs]
     later = [Iteration(trial.params, trial.value or 0.0, trial.user_attrs[TRACES]) for trial in trials]
     return [Iteration(task.start_values, study.user_attrs["given_cost"], study.user_attrs[TRACES]), *later]
 
 
 def _surrogate(simulations: Sequence[Simulation], number: int, before: Sequence[Iteration]) -> Surrogate:
-    """The surrogate of a scenario, by its number, from all its runs so far."""
+    """Surrogate of a scenario, by its number, from all its runs so far."""
     simulation = simulations[number]
     scenario = simulation.scenario
     traces = [trace for iteration in before for trace in iteration.traces[number :: len(simulations)]]

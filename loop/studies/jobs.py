@@ -1,7 +1,8 @@
-"""The job runner of evaluations, campaigns and tables: many independent jobs over all cores, each kept on disk as soon as it is done.
+"""Job runner of evaluations, campaigns and data sets: independent jobs over all cores, each stored as soon as it is done.
 
-A killed or interrupted run resumes, failures are collected, and a job whose parameters or code changed runs again. An executor decides
-where jobs run: in processes of this machine, or on workers of a Dask scheduler. It yields results as jobs finish."""
+An interrupted run resumes, failures are collected, and a job whose parameters or code changed runs again. An executor decides where jobs
+run: in processes of this machine, or on workers of a Dask scheduler; it yields results as jobs finish.
+"""
 
 import hashlib
 import json
@@ -16,7 +17,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky import process_executor
@@ -34,11 +35,14 @@ WATCHING_S = 0.5  # interval at which a worker checks whether its parent process
 
 
 class WorkersLostError(LuxloopError):
-    """The workers died; results already yielded stay valid."""
+    """The workers were lost; results already yielded stay valid."""
 
 
 class Executor(Protocol):
-    """Calls a function with each task and yields results in order of completion. Raises WorkersLostError. workers: tasks at once."""
+    """Executor that calls a function with each task and yields results in order of completion. Raises WorkersLostError.
+
+    workers: number of parallel tasks.
+    """
 
     @property
     def workers(self) -> int: ...
@@ -47,7 +51,7 @@ class Executor(Protocol):
 
 
 def local(processes: int | None = None) -> Executor:
-    """An executor on processes of this machine, each with one thread, by default one per core; a single one is this process."""
+    """Executor on processes of this machine, one thread each, by default one per core; a single one is this process."""
     return _Local(processes or os.cpu_count() or 1)
 
 
@@ -68,28 +72,28 @@ class _Local:
             raise WorkersLostError("a worker process was killed, probably for lack of memory; use fewer processes") from error
 
 
-ALL_CORES: Final = local()
+ALL_CORES = local()
 
 
 def _begin() -> None:
-    """Set up a worker before its first task."""
-    for each in (signal.SIGINT, signal.SIGTERM):  # also sent to workers by terminals and services; the parent process ends its workers
+    """Set up a worker process."""
+    for each in (signal.SIGINT, signal.SIGTERM):  # terminals and services send them to workers as well; the parent ends its workers
         signal.signal(each, signal.SIG_IGN)
     threading.Thread(target=_end_after, args=(os.getppid(),), daemon=True).start()
-    process_executor._USE_PSUTIL = False  # otherwise a worker that keeps 300 MB between tasks, as simulations do, is ended as leaking
+    process_executor._USE_PSUTIL = False  # joblib would end workers that keep 300 MB between tasks
 
 
 def _end_after(parent: int) -> None:
-    """End this worker after its parent process was killed and could not end it."""
+    """End this worker once its parent process is gone."""
     while os.getppid() == parent:
         time.sleep(WATCHING_S)
     os._exit(1)
 
 
 def dask(scheduler: str) -> Executor:
-    """An executor on the workers of a scheduler, such as tcp://host:8786; a task whose worker is lost goes to another.
+    """Executor on the workers of a Dask scheduler, such as tcp://host:8786; a task whose worker is lost goes to another.
 
-    Raises LuxloopError if Dask is not installed, the scheduler does not answer, or a worker has another version of luxloop.
+    Raises LuxloopError if Dask is missing, the scheduler does not answer, or a worker has another version of luxloop.
     """
     try:
         import distributed  # noqa: F401
@@ -125,7 +129,7 @@ class _Dask:
         return f"--scheduler {self.scheduler}"
 
     def _connect(self) -> Any:
-        """A client. Raises LuxloopError as `dask`."""
+        """Client of the scheduler. Raises LuxloopError as `dask`."""
         import distributed
 
         where = self._where
@@ -145,16 +149,16 @@ class _Dask:
         return client
 
 
-Values = Mapping[str, Any]  # what JSON can hold, by name
+Values = Mapping[str, Any]  # JSON values by name
 NAMED = 4  # most jobs named in a message
 _START = b'{"id": '  # begins every line
 
 
 @dataclass(frozen=True)
 class Job:
-    """Keyword arguments of one call.
+    """A job: keyword arguments of a call.
 
-    key: readable name for tables and messages. place: more arguments, which say where the call puts files and do not decide its result.
+    key: readable name for tables and messages. place: further arguments that say where the call puts files and do not decide its result.
     """
 
     key: str
@@ -164,13 +168,13 @@ class Job:
 
 @dataclass(frozen=True)
 class Results:
-    """Results of a run: key, parameters and result of each successful job, in the order of the jobs; reasons of failures by key."""
+    """Results of a run of jobs: key, parameters and result of each successful job in the order of the jobs; reasons of failures by key."""
 
     rows: list[dict[str, Any]]
     failures: dict[str, str]
 
     def write(self, file: Path) -> None:
-        """Write the rows as Parquet, whole or not at all. Raises LuxloopError if that fails."""
+        """Write the rows atomically as Parquet. Raises LuxloopError on failure."""
         import pyarrow as pa  # imported here, since workers do not need it and start faster
 
         from luxloop.loop.recording.manifest import write_table
@@ -194,16 +198,15 @@ def run(  # noqa: PLR0913 (each value stands by itself)
     is_there: Callable[[Job], bool] = lambda job: True,
     kind: Callable[[Values], str | None] | None = None,
 ) -> Results:
-    """Do the jobs without a result in the file, and return the results of all.
+    """Run the jobs without a result in the file; returns the results of all jobs.
 
-    function: of a module's top level, so that other processes can import it; takes the parameters of a job and returns a JSON value. A line
-    says which jobs are done together. file: JSON lines, one per result; lines are only added, and results of other functions, parameters
-    and versions stay. version: what decides a result besides its parameters, such as `digest_of(...)`. executor: by default a process per
-    core. is_there: whether the files that a call made are still there; if not, the job runs again. The next run tries failed jobs again.
-    kind: of a job's parameters; jobs of one kind may be done together, None is done alone. With it, the function takes a sequence of the
-    parameters of several jobs, and gives the result of each, or the error that it raised.
+    function: importable from a module's top level; takes the parameters of a job and returns a JSON value. file: JSON lines, one per
+    result; lines are only added, and results of other functions, parameters and versions stay. version: what decides a result besides its
+    parameters, such as `digest_of(...)`. executor: by default a process per core. is_there: whether files that a call made still exist; if
+    not, the job runs again. kind: of a job's parameters; jobs of one kind may run as a batch, jobs of kind None run alone. With `kind` the
+    function takes a sequence of parameters, and returns a result or an exception for each. Failed jobs run again the next time.
 
-    Raises: KeyboardInterrupt that says what is kept; LuxloopError if workers are lost, or the file is of another kind or cannot be written.
+    Raises KeyboardInterrupt with what is stored; LuxloopError if workers are lost, or the file is of another kind or cannot be written.
     """
     many = function if kind else partial(_one_by_one, function)
     pairs = [(identity_of(function, job.parameters, version), job) for job in jobs]
@@ -239,12 +242,12 @@ def run(  # noqa: PLR0913 (each value stands by itself)
 
 
 def digest_of(*modules: ModuleType) -> str:
-    """Code digest of modules, for results that depend on their code."""
+    """Digest of modules' code, for results that depend on it."""
     return hashlib.sha256(b"".join(Path(str(module.__file__)).read_bytes() for module in modules)).hexdigest()
 
 
 def identity_of(function: Callable[..., Values], parameters: Values, version: str) -> str:
-    """Digest of what decides a job's result."""
+    """Digest of everything that decides a job's result."""
     decisive = [function.__module__, function.__qualname__, version, parameters]
     return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()[:32]
 
@@ -253,7 +256,7 @@ Many = Callable[[Sequence[Values]], Sequence[Values | Exception]]
 
 
 def _call(many: Many, tasks: Sequence[tuple[str, Values]]) -> list[tuple[str, str, str]]:
-    """Of each job its identity, its result as JSON, and the reason of failure, one of both empty."""
+    """Identity, result as JSON, and reason of failure of each job; one of the latter two is empty."""
     found = []
     for (identity, _), result in zip(tasks, many([parameters for _, parameters in tasks]), strict=True):
         try:
@@ -274,7 +277,7 @@ def _one_by_one(function: Callable[..., Values], parameters: Sequence[Values]) -
 
 
 def reason(error: Exception) -> str:
-    """The reason why a job failed: luxloop's own sentence, or the exception and its place."""
+    """Reason of a failure: luxloop's own sentence, or the exception and its place in the code."""
     if isinstance(error, LuxloopError):
         return "; ".join(map(str, error.args))
     where = traceback.extract_tb(error.__traceback__)[-1]
@@ -282,7 +285,7 @@ def reason(error: Exception) -> str:
 
 
 def _read(file: Path) -> dict[str, dict[str, Any]]:
-    """Results by identity. An incomplete last line, left by a kill or a full disk, is removed, and its job runs again."""
+    """Results by identity. An incomplete last line, from a kill or a full disk, is removed; its job runs again."""
     try:
         content = file.read_bytes() if file.exists() else b""
         *lines, last = content.splitlines(keepends=True) or [b""]
@@ -319,11 +322,11 @@ def _append(file: Path, line: str) -> None:
             stream.write(line.encode() + b"\n")
 
 
-MOST = 16  # jobs at once: more are no faster, and a job that ends is kept on disk sooner
+MOST = 16  # jobs in a batch; larger batches are no faster and store results later
 
 
 def bundles(kinds: Sequence[str | None], workers: int) -> list[list[int]]:
-    """Places of jobs that are done together: those of one kind, in so many parts that no worker is idle. Jobs of kind None are alone."""
+    """Indices of jobs that run as a batch: jobs of one kind, in as many batches as keep all workers busy. Jobs of kind None run alone."""
     alike: dict[str, list[int]] = {}
     found = []
     for place, kind in enumerate(kinds):

@@ -1,4 +1,4 @@
-"""What tuning minimises: a weighted sum of named terms over a run's figures. A failed run gets the maximum cost."""
+"""Objective of tuning: a weighted sum of named terms over a run's figures. A failed run has the maximum cost."""
 
 import re
 from collections.abc import Mapping
@@ -7,10 +7,10 @@ from typing import Any
 
 from luxloop.world.errors import LuxloopError, did_you_mean
 
-FAILED = 2.0  # a term without a value: as dear as if the symbol settled only after twice the run; no term costs more
+FAILED = 2.0  # cost of a term without a value, and the maximum: as if the symbol settled after twice the run
 
 Figures = Mapping[str, Any]
-# name: (figure, what is made of it, what it is)
+# name: (figure, its conversion to a cost, description)
 TERMS = {
     "settling": ("settle_step", lambda value, row: value / row["steps"], "settle step, as a share of all steps"),
     "overshoot": ("overshoot_percent", lambda value, row: value / 100, "overshoot, as a share of the initial error"),
@@ -22,7 +22,7 @@ TERMS = {
 
 @dataclass(frozen=True)
 class Objective:
-    """weights: of terms, by name."""
+    """An objective. weights: of terms, by name."""
 
     weights: dict[str, float]
 
@@ -30,12 +30,12 @@ class Objective:
         return "+".join(name if weight == 1 else f"{weight:g}*{name}" for name, weight in self.weights.items())
 
     def cost(self, row: Figures) -> float:
-        """Cost of a run's figures; those of a run that failed are empty."""
+        """Cost of a run's figures, which are empty for a failed run."""
         return sum(weight * _term(name, row) for name, weight in self.weights.items())
 
 
 def parse(text: str) -> Objective:
-    """An objective such as settling+0.5*overshoot. Raises LuxloopError that names what is wrong."""
+    """Objective from a text such as settling+0.5*overshoot. Raises LuxloopError with the mistake."""
     weights: dict[str, float] = {}
     for part in text.split("+"):
         match = re.fullmatch(r"\s*(?:(\d+\.?\d*|\.\d+)\s*\*)?\s*(\w+)\s*", part)
@@ -54,6 +54,6 @@ def _term(name: str, row: Figures) -> float:
     figure, of, _ = TERMS[name]
     value = row.get(figure)
     if value is None:
-        # Whoever starts at the target has no overshoot to speak of, but a symbol that is never seen has none either.
+        # A run that starts at the target has no overshoot, and one whose symbol is never seen neither.
         return 0.0 if name == "overshoot" and row.get("residual_percent") is not None else FAILED
     return min(float(of(value, row)), FAILED)

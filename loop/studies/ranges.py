@@ -1,4 +1,4 @@
-"""Keys of a scenario to tune, with their ranges: `functions.symbol.controller.position.kp=0.1:2`."""
+"""Ranges of scenario keys to tune: `functions.symbol.controller.position.kp=0.1:2`."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ Values = Mapping[str, float | int]
 
 @dataclass(frozen=True)
 class Range:
-    """A key and its least and largest value. log: whether to search on a logarithmic scale. whole: whether values are whole numbers."""
+    """A key and its range. log: whether the scale is logarithmic. whole: whether values are integers."""
 
     key: str
     low: float
@@ -26,7 +26,7 @@ class Range:
     whole: bool = False
 
     def draw(self, rng: np.random.Generator) -> float | int:
-        """A number between both ends, evenly distributed on its scale."""
+        """Random number within the range, uniform on its scale."""
         if self.whole:
             return int(rng.integers(int(self.low), int(self.high), endpoint=True))
         low, high = np.log((self.low, self.high)) if self.log else (self.low, self.high)
@@ -35,9 +35,9 @@ class Range:
 
 
 def parse(text: str, scenarios: Sequence[Scenario], given_as: str = "--key") -> Range:
-    """A range from KEY=LOW:HIGH or KEY=LOW:HIGH:log; all scenarios must have that key and accept both ends. given_as: for messages.
+    """Range from KEY=LOW:HIGH or KEY=LOW:HIGH:log; all scenarios must accept both ends. given_as: option for messages.
 
-    Raises LuxloopError that names the key and the remedy.
+    Raises LuxloopError with the key and the remedy.
     """
     where = f"{given_as} {text}"
     key, _, ends = text.partition("=")
@@ -78,7 +78,7 @@ def _number(text: str) -> float | int:
 
 
 def value_of(scenario: Scenario, key: str) -> float | int | None:
-    """The number at a key of a scenario, None if there is no value. Raises LuxloopError for any other value."""
+    """Number at a key of a scenario, None without a value. Raises LuxloopError for other values."""
     table: Any = scenario.model_dump(mode="json")
     for part in toml_key(key).replace('"', "").split("."):
         place = INDEX.fullmatch(part)
@@ -98,12 +98,12 @@ def _hint(key: str, value: Any) -> str:
 
 
 def with_values(scenario: Scenario, values: Values) -> Scenario:
-    """The scenario with other values by key, as with `--set`. Raises LuxloopError if a value is invalid."""
+    """Scenario with other values by key, as with `--set`. Raises LuxloopError if a value is invalid."""
     settings = [f"{key}={value!r}" for key, value in values.items()]
     data = overridden(scenario.model_dump(mode="json"), settings)
     return validate(data, f"{scenario.name} with {' '.join(f'{key}={value:g}' for key, value in values.items())}")
 
 
 def overlay(values: Values) -> str:
-    """Values as a TOML file for `--set`."""
+    """TOML file of values, for `--set`."""
     return "".join(f"{toml_key(key)} = {value if isinstance(value, int) else repr(float(value))}\n" for key, value in values.items())

@@ -1,4 +1,4 @@
-"""Runs in rows of plain figures, without files, one by one or many at once: what campaigns tabulate and tuning minimises."""
+"""Runs as rows of plain figures without files, one by one or in batches, for campaigns and tuning."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -37,7 +37,7 @@ from luxloop.perception.metrics import Metrics
 from luxloop.world.errors import LuxloopError
 
 Figures = dict[str, float | str | None]
-WORST = {  # figures of symbols that are held, and which of several is the worst
+WORST = {  # figures of held symbols, with the function that picks the worst of several
     "settle_step": max,
     "overshoot_percent": max,
     "residual_percent": max,
@@ -48,32 +48,28 @@ WORST = {  # figures of symbols that are held, and which of several is the worst
 
 
 def figures(scenario: Scenario, device: str = "auto") -> Figures:
-    """Run a scenario and give its summary, flat: `lamps.left.flux_lm_mean`, say; None where a value does not exist.
+    """Figures of a scenario's run: its summary, flat, such as `lamps.left.flux_lm_mean`; None for a value that does not exist.
 
-    flux_lm_mean is that of all lamps, utilisation_mean that of all pixels over all steps. Where symbols are held, the figures in `WORST`
-    are also there without a name, the worst symbol's; iou_mean is then the mean of all evaluated steps, and residual_percent
-    is how far off the centroid ends, of the symbol's size. With a detector there are confidence_final_mean and _min, over the objects in
-    sight at the end. Times are left out, so that the same scenario gives the same figures.
-    Raises LuxloopError where the scenario cannot run.
+    flux_lm_mean is that of all lamps, utilisation_mean that of all pixels over all steps. If symbols are held, the figures in `WORST` also
+    exist without a name, for the worst symbol; iou_mean is then the mean of all evaluated steps, and residual_percent the final centroid
+    error in percent of the symbol's size. With a detector there are confidence_final_mean and confidence_final_min, over the objects in
+    sight at the end. Times are left out, so that a scenario always gives the same figures. Raises LuxloopError if the scenario cannot run.
     """
     return figures_and_trace(scenario, device)[0]
 
 
 def figures_and_trace(scenario: Scenario, device: str = "auto") -> tuple[Figures, Rollout | None]:
-    """The figures of a run, and how its only symbol was held, as a batch of one; None where several are held, or none.
-
-    Raises as `figures`.
-    """
+    """Figures of a run, and the trace of its only symbol as a batch of one; None if several or no symbols are held. Raises as `figures`."""
     simulation = ready(scenario, device)
     return tabulate(simulation, ((result, _utilisation(result)) for result in simulation.evaluations()))
 
 
 def tabulate(simulation: Simulation, steps: Iterable[tuple[Evaluation, float]]) -> tuple[Figures, Rollout | None]:
-    """The same from the steps of a run, each with the mean utilisation of all pixels."""
+    """Figures and trace from the steps of a run, each with the mean utilisation of all pixels."""
     rows, utilisations, trace = [], list[float](), []
     last = dict[str, Evaluation]()
     name = only(simulation.controlled) if len(simulation.controlled) == 1 else None
-    for result, utilisation in steps:  # which are not kept: a step is megabytes
+    for result, utilisation in steps:  # not stored: a step takes megabytes
         rows.append(row(result))
         utilisations.append(utilisation)
         last |= dict.fromkeys(result.held, result)
@@ -101,7 +97,7 @@ def _utilisation(result: Evaluation) -> float:
 
 
 def _trace(held: SymbolStep | None, target: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Pose, error of the pose, and whether it was seen; the target, unseen, while it is not shown."""
+    """Pose, pose error and whether the symbol was seen; the target, unseen, while the symbol is not shown."""
     if held is None:
         return target, torch.zeros_like(target), torch.zeros_like(target[0], dtype=torch.bool)
     usable = (held.measurement.code == ExtractionStatus.SEEN) & held.measurement.pose_error.isfinite().all()
@@ -109,7 +105,7 @@ def _trace(held: SymbolStep | None, target: Tensor) -> tuple[Tensor, Tensor, Ten
 
 
 def ready(scenario: Scenario, device: str) -> Simulation:
-    """A simulation of the scenario; all but controllers and noise is taken from one that is ready where there is one."""
+    """Simulation of a scenario; everything but controllers and noise comes from a prepared one if there is one."""
     if not isinstance(scenario.plant, SimulatedPlantParams):
         return prepare(scenario, device)
     functions = {name: {"controller"} for name in scenario.symbols}
@@ -120,7 +116,7 @@ def ready(scenario: Scenario, device: str) -> Simulation:
 
 
 def with_controllers(simulation: Simulation, scenario: Scenario) -> Simulation:
-    """The same world and plant with the controllers of another scenario, whose symbols are the same."""
+    """Simulation with the same world and plant, and the controllers of another scenario with the same symbols."""
     held = {}
     for name, symbol in simulation.controlled.items():
         function = scenario.functions[name]
@@ -131,7 +127,7 @@ def with_controllers(simulation: Simulation, scenario: Scenario) -> Simulation:
 
 @dataclass(frozen=True)
 class _WorldKey:
-    """What runs share whose scenarios differ by controller or seed alone. decisive: the rest as JSON. files: digests of the files read."""
+    """Key of scenarios that differ by controller or seed alone. decisive: all else as JSON. files: digests of the files read."""
 
     scenario: Scenario = field(compare=False)
     device: str
@@ -139,7 +135,7 @@ class _WorldKey:
     files: tuple[tuple[str, str], ...]
 
 
-@lru_cache(1)  # half a gigabyte; runs of a campaign that share one follow each other
+@lru_cache(1)  # half a gigabyte; runs with the same key are consecutive
 def _prepare(shared: _WorldKey) -> Simulation:
     return prepare(shared.scenario, shared.device)
 
@@ -158,9 +154,9 @@ Run = tuple[Figures, Rollout | None]
 
 
 def kind(scenario: Scenario) -> str | None:
-    """A string that is equal for scenarios that can run in one batch; None for a scenario that cannot (`refuse`).
+    """Kind of a scenario, equal for scenarios that can run in one batch; None for a scenario that cannot (`refuse`).
 
-    They may differ in the seed, the controller's numbers, the start of the symbol, and what disturbs the frames.
+    Scenarios of one kind may differ in the seed, the controller's numbers, the start of the symbol, and disturbances of frames.
     """
     try:
         refuse(scenario)
@@ -177,7 +173,7 @@ def kind(scenario: Scenario) -> str | None:
 
 
 def refuse(scenario: Scenario) -> None:
-    """Raises LuxloopError with the reason if a scenario's keys exclude it from batches."""
+    """Raise LuxloopError with the reason if a scenario's keys exclude it from batches."""
     refuse_scenario(scenario)
     params = scenario.symbol.controller
     assert params is not None
@@ -191,11 +187,11 @@ def refuse(scenario: Scenario) -> None:
 
 
 def runs(scenarios: Sequence[Scenario], device: str = "cpu") -> list[Run]:
-    """Metrics and trace of each scenario, all of one `kind`, as of a single run up to single-precision rounding.
+    """Figures and trace of scenarios of one `kind`, equal to those of single runs up to single-precision rounding.
 
-    A scenario whose symbol is lost, or lies on another road, is run again alone, since a single run then searches the whole image.
-    Scenarios that need more than a window of the lamps' light also run alone, since a batch of them is no faster. device: to compute on.
-    Raises LuxloopError if a scenario cannot run, or cannot run in a batch.
+    A scenario whose symbol is lost, or lies on another road, runs again alone, since a single run then searches the whole image. Scenarios
+    that need more than a window of the lamps' light run alone, since batches are no faster. device: to compute on. Raises LuxloopError if a
+    scenario cannot run, or cannot run in a batch.
     """
     if len(scenarios) < LEAST:
         return [figures_and_trace(each, device) for each in scenarios]
@@ -215,9 +211,10 @@ def runs(scenarios: Sequence[Scenario], device: str = "cpu") -> list[Run]:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """One step of B copies. measurements: of the frames that came, one a copy. cut: `[B, 4]`, see
-    `luxloop.controllers.symbol.sensing.field`. sums: `[B, m, 2]`, see `luxloop.loop.studies.batch.copies.SymbolLight`. metrics: None in a
-    step without evaluation.
+    """One step of B copies.
+
+    measurements: of the frames that came, one per copy. cut: `[B, 4]`, see `luxloop.controllers.symbol.sensing.field`. sums: `[B, m, 2]`,
+    see `luxloop.loop.studies.batch.copies.SymbolLight`. metrics: None in a step without evaluation.
     """
 
     projection: ProjectionCommand
@@ -228,7 +225,7 @@ class _Step:
 
 
 def _steps(copies: Copies, simulations: Sequence[Simulation]) -> tuple[list[_Step], frozenset[int]]:
-    """All steps of the copies, and those of them that would search the whole image."""
+    """All steps of the copies, and the numbers of copies whose single run would search the whole image."""
     like, target = copies.simulation.scenario, copies.projector.target
     symbols, plant = [each.symbol for each in simulations], world_plant(copies.simulation.plant, "a batch")
     plants = [replace(plant, seed=each.scenario.seed, disturbances=each.scenario.disturbances) for each in simulations]
@@ -260,7 +257,7 @@ def _steps(copies: Copies, simulations: Sequence[Simulation]) -> tuple[list[_Ste
 
 
 def _results(copies: Copies, first: Evaluation, steps: Sequence[_Step], k: int) -> Iterator[tuple[Evaluation, float]]:
-    """The steps of the k-th copy as of a single run, each with the mean utilisation of all pixels. first: of a single run."""
+    """Steps of the k-th copy as of a single run, each with the mean utilisation of all pixels. first: first step of a single run."""
     simulation, (name,) = copies.simulation, first.held
     pixels = sum(module.flux.numel() for module in simulation.modules)
     resting = [[float(each.u @ module.flux), float(each.u.sum())] for each, module in zip(copies.resting, simulation.modules, strict=True)]
@@ -279,7 +276,7 @@ def _results(copies: Copies, first: Evaluation, steps: Sequence[_Step], k: int) 
 
 
 def _powers(simulation: Simulation, lights: Sequence[Sequence[float]]) -> Mapping[str, LampPower]:
-    """Power by the lamps' sides. lights: flux in lm and sum of utilisations of each module."""
+    """Power by side of the car. lights: flux in lm and sum of utilisations of each module."""
     found = {}
     for side in dict.fromkeys(module.side for module in simulation.modules):
         mine = [(module, lm) for module, (lm, _) in zip(simulation.modules, lights, strict=True) if module.side == side]

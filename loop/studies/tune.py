@@ -1,4 +1,4 @@
-"""`luxloop tune`: tune a scenario's keys with Optuna; resumable, and with the same result for any number of processes."""
+"""`luxloop tune`: tune scenario keys with Optuna; resumable, with the same result for any number of processes."""
 
 import hashlib
 import json
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import optuna
@@ -33,14 +33,14 @@ from luxloop.world.files import lock_file, shared_folder, writing
 STUDY = "study.log"
 FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
 PRUNING_AFTER = 8  # trials
-_START: Final = b'{"op_code":'  # begins every line
+_START = b'{"op_code":'  # begins every line
 
 
 @contextmanager
 def study_in(out: Path, digest: str) -> Iterator[optuna.Study]:
-    """The study with a digest of settings in a folder; other processes may work on it at the same time.
+    """Study in a folder; several processes may use it at the same time. digest: of its settings.
 
-    Raises LuxloopError if the folder holds another study, another process has locked it, or it cannot be written.
+    Raises LuxloopError if the folder holds another study, is locked by another process, or cannot be written.
     """
     file = out / STUDY
     optuna.logging.set_verbosity(optuna.logging.ERROR)
@@ -54,7 +54,7 @@ def study_in(out: Path, digest: str) -> Iterator[optuna.Study]:
 
 @contextmanager
 def keeping(out: Path, what: Callable[[], str]) -> Iterator[None]:
-    """Add to an interrupt the message of what a study's folder keeps."""
+    """Raise an interrupt with a message of what the study's folder holds."""
     try:
         yield
     except KeyboardInterrupt as error:
@@ -62,16 +62,16 @@ def keeping(out: Path, what: Callable[[], str]) -> Iterator[None]:
 
 
 def trial_count(study: optuna.Study) -> int:
-    """Number of trials that are complete or pruned."""
+    """Number of complete and pruned trials."""
     return len(study.get_trials(deepcopy=False, states=FINISHED))
 
 
 def _mend(file: Path, digest: str) -> None:
-    """Clean up after a killed process: the journal's lock, an incomplete last line, trials that never end."""
+    """Clean up after a killed process: the journal's lock, an incomplete last line, running trials."""
     file.with_name(f"{file.name}.lock").unlink(missing_ok=True)
     content = file.read_bytes()
     last = (content.splitlines(keepends=True) or [b""])[-1]
-    if content.startswith(_START) or _START.startswith(content):  # else it is no journal
+    if content.startswith(_START) or _START.startswith(content):  # otherwise it is no journal
         try:
             json.loads(last if last.endswith(b"\n") else b"")
         except (ValueError, RecursionError):
@@ -88,7 +88,7 @@ def _open(file: Path, digest: str) -> optuna.Study:
         study = optuna.create_study(storage=storage, study_name="tune", pruner=pruner, load_if_exists=True)
     except OSError:
         raise
-    except Exception as error:  # Optuna raises whatever a damaged journal provokes
+    except Exception as error:  # Optuna raises anything for a damaged journal
         raise LuxloopError(
             f"{file}: is not a study's journal ({str(error) or type(error).__name__}); give another folder with --out"
         ) from error
@@ -101,18 +101,21 @@ def _open(file: Path, digest: str) -> optuna.Study:
 
 
 FAILURES = "failures"
-SETTLED = "settled"  # attribute with how many runs of a trial settled
-TRACES = "traces"  # attribute with the traces of a trial's runs
-APART = 1_000_003  # distance between the seeds of two searches, so that they share no trial's seed
+SETTLED = "settled"  # attribute: number of a trial's runs that settled
+TRACES = "traces"  # attribute: traces of a trial's runs
+APART = 1_000_003  # distance between the trial seeds of two searches
 STARTUP = 8  # random trials before the sampler uses results
-Runs = list[dict[str, Any]]  # of each its scenario, the digests of its files (inputs) and the device
-Trace = list[list[Any]] | str  # of a run: poses, errors and whether seen, or the reason of failure
-PartResult = tuple[list[float], list[Trace], int]  # costs, traces, and how many runs settled
+Runs = list[dict[str, Any]]  # scenario, digests of its files (inputs) and device of each
+Trace = list[list[Any]] | str  # poses, errors and whether seen, or the reason of failure
+PartResult = tuple[list[float], list[Trace], int]  # costs, traces, number of runs that settled
 
 
 @dataclass(frozen=True)
 class Task:
-    """A tuning task. seeds: runs of each scenario per trial, with its own seed and the following ones. seed: of the search."""
+    """A tuning task.
+
+    seeds: number of runs of each scenario per trial, from the scenario's own seed on. seed: of the search.
+    """
 
     scenarios: tuple[Scenario, ...]
     ranges: tuple[Range, ...]
@@ -136,12 +139,12 @@ class Task:
 
     @cached_property
     def inputs(self) -> list[dict[str, str]]:
-        """Digests of each scenario's files at the first access."""
+        """Digests of each scenario's files, from the first access on."""
         return [digests(each) for each in self.scenarios]
 
     @property
     def start_values(self) -> dict[str, float | int | None]:
-        """Values common to all scenarios, by key; None where they differ or have none."""
+        """Values common to all scenarios by key; None if they differ, or there is none."""
         found = {each.key: {value_of(scenario, each.key) for scenario in self.scenarios} for each in self.ranges}
         return {key: values.pop() if len(values) == 1 else None for key, values in found.items()}
 
@@ -157,7 +160,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Tuning:
-    """A study: cost of the scenarios as given, best values and their cost, and all trials."""
+    """A study: cost with the given values, and all trials."""
 
     task: Task
     given_cost: float
@@ -170,12 +173,12 @@ class Tuning:
 
     @property
     def failures(self) -> list[str]:
-        """Reasons of failed runs; a failed run costs `luxloop.loop.studies.objective.FAILED` in all terms."""
+        """Reasons of failed runs; a failed run costs `luxloop.loop.studies.objective.FAILED` in each term."""
         return [why for trial in self.finished for why in trial.user_attrs.get(FAILURES, [])]
 
     @property
     def never_settles(self) -> bool:
-        """Whether the objective weighs settling, and no run of any trial settled."""
+        """Whether the objective weights settling, and no run has settled."""
         attributes = [self.study.user_attrs, *(trial.user_attrs for trial in self.finished)]
         return "settling" in self.task.objective.weights and not any(each.get(SETTLED) for each in attributes)
 
@@ -187,10 +190,10 @@ class Tuning:
 
 
 def tune(task: Task, out: Path, trials: int, execute: Executor) -> Tuning:
-    """Continue the study in a folder up to a number of trials. Finished trials are kept whatever happens.
+    """Continue a study in a folder up to a number of trials. Finished trials are stored in any case.
 
-    Several processes on one folder share the trials. Raises LuxloopError if the folder holds another study or cannot be written, and
-    KeyboardInterrupt that says what is kept.
+    Several processes in one folder share the trials. Raises LuxloopError if the folder holds another study or cannot be written, and
+    KeyboardInterrupt with what is stored.
     """
     with study_in(out, task.digest) as study, keeping(out, lambda: f"{trial_count(study)} of {trials} trials"):
         shown = trial_count(study)
@@ -203,7 +206,7 @@ def tune(task: Task, out: Path, trials: int, execute: Executor) -> Tuning:
                 except BaseException:
                     for trial in asked:
                         with suppress(OSError):
-                            study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)  # another process will run it
+                            study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)  # for another process to run
                     raise
                 done = trial_count(study)  # other processes add trials, too
                 advance(done - shown)
@@ -212,9 +215,7 @@ def tune(task: Task, out: Path, trials: int, execute: Executor) -> Tuning:
 
 
 def _next_trials(study: optuna.Study, space: dict[str, BaseDistribution], task: Task, out: Path, trials: int) -> list[optuna.Trial]:
-    """The next trials up to a number of them: all random ones at once, which depend on no result, then one by one; none if all are
-    finished or running.
-    """
+    """Next trials: first all random ones, which depend on no result, then one by one; none if all are finished or running."""
     with lock_file(out / STUDY):
         number = len(study.get_trials(deepcopy=False, states=(*FINISHED, TrialState.RUNNING)))
         asked = []
@@ -227,7 +228,7 @@ def _next_trials(study: optuna.Study, space: dict[str, BaseDistribution], task: 
 
 
 def _try(study: optuna.Study, trials: Sequence[optuna.Trial], task: Task, execute: Executor) -> None:
-    """Do all runs of some trials, which may be pruned after half of them; the same runs for any number of processes."""
+    """Run some trials, which may be pruned after half of their runs; the same runs for any number of processes."""
     runs = [task.runs(trial.params) for trial in trials]
     half = -(-len(runs[0]) // 2)
     left = []
@@ -249,23 +250,13 @@ def _try(study: optuna.Study, trials: Sequence[optuna.Trial], task: Task, execut
         study.tell(trial, float(np.mean(first[0] + more[0])))
 
 
-def note_batches(task: Task, workers: int, gradient: bool) -> str | None:
-    """Which runs of a study are done together, in words; None where all are alone."""
-    runs = task.runs({})
-    half = -(-len(runs) // 2)
-    random, later = (max(map(len, places_of(some, workers))) for some in (runs[:half] * STARTUP, runs if gradient else runs[:half]))
-    found = [f"up to {random} in the first {STARTUP} trials"] if random > 1 and not gradient else []
-    found += [f"up to {later} in {'the others' if found else 'all trials'}"] if later > 1 else []
-    return f"runs in batches of {', of '.join(found)}" if found else None
-
-
 def run_all(task: Task, runs: Runs, execute: Executor) -> PartResult:
-    """Costs and traces in the order of the runs, whatever order they end in, so that sums round equally, and how many settled."""
+    """Costs and traces in the order of the runs, so that sums round equally, and the number of runs that settled."""
     return run_parts(task, [runs], execute)[0]
 
 
 def run_parts(task: Task, parts: Sequence[Runs], execute: Executor) -> list[PartResult]:
-    """The same of several parts, whose runs are done together where that is faster."""
+    """Results of several parts; runs of all parts may share batches."""
     runs = [run for part in parts for run in part]
     places = places_of(runs, execute.workers)
     done = sorted(
@@ -281,7 +272,7 @@ def run_parts(task: Task, parts: Sequence[Runs], execute: Executor) -> list[Part
 
 
 def places_of(runs: Runs, workers: int) -> list[list[int]]:
-    """Places of the runs that are done together (`luxloop.loop.studies.jobs`)."""
+    """Indices of the runs in each batch (`luxloop.loop.studies.jobs.bundles`)."""
     return bundles([kind_of(run) if len(runs) > 1 else None for run in runs], workers)
 
 
@@ -291,7 +282,7 @@ def failure_reasons(traces: list[Trace]) -> list[str]:
 
 
 def _run_jobs(tasks: Sequence[tuple[int, dict[str, Any]]]) -> list[tuple[int, dict[str, Any], Trace]]:
-    """Number, metrics and trace of runs that are done together; a run that fails does not stop the study."""
+    """Number, figures and trace of each run of a batch; a failed run does not stop the study."""
     found: list[tuple[int, dict[str, Any], Trace]] = []
     for (number, _), done in zip(tasks, runs_of_many([run for _, run in tasks]), strict=True):
         if isinstance(done, Exception):
@@ -303,15 +294,15 @@ def _run_jobs(tasks: Sequence[tuple[int, dict[str, Any]]]) -> list[tuple[int, di
 
 
 def begin(study: optuna.Study, task: Task, out: Path, execute: Executor) -> dict[str, BaseDistribution]:
-    """The study's search space, after a first run of the given values if the study has none.
+    """Search space of a study; runs the given values first if the study has none.
 
-    The given values are the first trial if all scenarios share them and they lie in the ranges, so that the search uses them. Raises
-    LuxloopError if all runs with them fail.
+    The given values are the first trial if all scenarios share them and they lie in the ranges. Raises LuxloopError if all runs with them
+    fail.
     """
     if "given_cost" not in study.user_attrs:
         costs, traces, settled = run_all(task, task.runs({}), execute)
         if len(reasons := failure_reasons(traces)) == len(costs):
-            (out / STUDY).unlink()  # it is empty, and other settings should not need another folder
+            (out / STUDY).unlink()  # without results, other settings may use the folder
             raise LuxloopError(f"every run with the given values fails, so there is nothing to tune; the first: {reasons[0]}")
         study.set_user_attr(TRACES, traces)
         study.set_user_attr(SETTLED, settled)

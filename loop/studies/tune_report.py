@@ -1,4 +1,4 @@
-"""Run a tuning and write its report: history of the cost, importance of keys, best against given values."""
+"""Tuning with its report: history of the cost, importance of keys, best and given values."""
 
 from pathlib import Path
 from shlex import quote
@@ -14,7 +14,7 @@ from luxloop.loop.report.terminal import number
 from luxloop.loop.studies import objective, ranges
 from luxloop.loop.studies.gradient import tune_by_gradient
 from luxloop.loop.studies.jobs import local
-from luxloop.loop.studies.tune import STUDY, Task, Tuning, note_batches, tune
+from luxloop.loop.studies.tune import STUDY, Task, Tuning, tune
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import atomic_write, lock_file
 
@@ -23,16 +23,13 @@ LEAST_FOR_IMPORTANCES = 10  # trials
 
 
 def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradient: bool, played_by: str) -> Tuning:
-    """Tune, and write and print best values and report. played_by: arguments of `luxloop run` before `--set`.
+    """Tune; write and print best values and report. played_by: arguments of `luxloop run` before `--set`.
 
     Raises LuxloopError for invalid settings before anything runs.
     """
     if not task.ranges:
         raise LuxloopError("--key: is missing; give keys with ranges, such as --key functions.symbol.controller.position.kp=0.1:2")
-    execute = local(processes)
-    if note := note_batches(task, execute.workers, gradient):
-        tables.say(note, stderr=True)
-    tuned = (tune_by_gradient if gradient else tune)(task, folder, trials, execute)
+    tuned = (tune_by_gradient if gradient else tune)(task, folder, trials, local(processes))
     write(tuned, folder)
     tables.show(tables.plain(("key", "given", "best"), ((f"[bold]{key}[/]", *told) for key, *told in _rows(tuned))))
     if notes := _notes(tuned):
@@ -45,8 +42,8 @@ def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradie
 
 
 def write(tuned: Tuning, out: Path) -> None:
-    """Write best values, page and picture into a folder. Raises LuxloopError if they cannot be written."""
-    with lock_file(out / STUDY):  # of processes that share a study, the last to write then has all trials
+    """Write best values, page and picture into a folder. Raises LuxloopError on a write error."""
+    with lock_file(out / STUDY):  # the last process to write then has all trials
         values, cost = tuned.best
         head = (
             f"# {tuned.task.objective} of {', '.join(each.name for each in tuned.task.scenarios)}: {tuned.given_cost:.4g} -> {cost:.4g}\n"
@@ -77,7 +74,7 @@ def page(tuned: Tuning) -> str:
 
 
 def _rows(tuned: Tuning) -> list[tuple[str, str, str]]:
-    """Each key, its given value and the best, and at last what they cost."""
+    """Each key with its given and best values, and last their costs."""
     start, (values, cost) = tuned.task.start_values, tuned.best
     told = [(each.key, start[each.key], values.get(each.key, start[each.key])) for each in tuned.task.ranges]
     return [(key, number(given, ".4g"), number(best, ".4g")) for key, given, best in (*told, ("cost", tuned.given_cost, cost))]

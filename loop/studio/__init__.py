@@ -1,1 +1,1 @@
-"""The studio: a page in the browser that watches and steers a loop while it runs."""
+"""The studio: a page in the browser that shows and steers a running loop."""

@@ -1,10 +1,10 @@
-"""A program's connection to a loop that `luxloop studio` runs."""
+"""A program's connection to a loop in a `luxloop studio`."""
 
 import re
 import threading
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack
-from typing import Any, Final, Self
+from typing import Any, Self
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -19,18 +19,18 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.messages import encode, pack
 from luxloop.world.validation import toml
 
-VIEWS: Final[tuple[View, ...]] = ("frames", "light", "matrix")
-LOOK_S: Final = 0.5  # between two looks at what ends a program, while it waits
+VIEWS: tuple[View, ...] = ("frames", "light", "matrix")
+LOOK_S = 0.5  # interval of checks for a lost connection while waiting
 
 
 def connect(url: str, *, views: Collection[View] = VIEWS, shared: bool = False, run: int = 0) -> "Client":
     """Watch and steer the loop of a `luxloop studio` from another program.
 
-    url: the address that it prints, with the token after `#`. views: what states shall have: "frames", "light", "matrix" (utilisations),
-    "camera" (the page's pictures), "depth", "instances", "materials", "truth" (of objects), "marks"; what nobody asks for is not computed.
-    shared: read arrays from memory in place of the socket, which is faster, on the machine where the studio runs. run: 1 for the one beside
-    the first.
-    Waits until the loop is prepared. Raises LuxloopError where nobody answers, or the token is another one's.
+    url: the printed address, with the token after `#`. views: contents of states: "frames", "light", "matrix" (utilisations), "camera" (the
+    page's pictures), "depth", "instances", "materials", "truth" (of objects), "marks"; only requested contents are computed. shared: read
+    arrays from shared memory instead of the socket, which is faster, on the studio's machine. run: 1 for the second run beside the first.
+
+    Waits until the loop is prepared. Raises LuxloopError if no studio answers, or the token is wrong.
     """
     parts = urlsplit(url)
     if parts.scheme != "http" or not parts.hostname or not parts.fragment:
@@ -52,7 +52,7 @@ def connect(url: str, *, views: Collection[View] = VIEWS, shared: bool = False, 
 class Client:
     """A connection to a studio, made by `connect`; a context manager that closes it. Use it from one thread.
 
-    Every method raises LuxloopError with what the server says where it refuses, and where the connection is lost.
+    Every method raises LuxloopError with the server's reason if the server refuses, and if the connection is lost.
     """
 
     def __init__(self, socket: ClientConnection, stack: ExitStack, shared: bool, run: int) -> None:
@@ -62,7 +62,7 @@ class Client:
         self._news = threading.Condition()
         self._got = Inbox(run)
         self._number, self._lost = 0, ""
-        self._given: State | None = None  # the last state that the program has got
+        self._given: State | None = None  # the last state returned to the program
         self._thread = threading.Thread(target=self._listen, name="studio", daemon=True)
 
     def __enter__(self) -> Self:
@@ -72,7 +72,7 @@ class Client:
         self.close()
 
     def begin(self, token: str, views: Collection[View]) -> None:
-        """Say hello, and wait for the first state. Called by `connect`."""
+        """Log in and wait for the first state. Called by `connect`."""
         self._thread.start()
         self._send({"type": "hello", "token": token, "name": "program"})
         self._wait(lambda: self._got.state is not None or bool(self._got.failed))
@@ -81,7 +81,7 @@ class Client:
         self.want(*views)
 
     def close(self) -> None:
-        """End the connection; the loop goes on."""
+        """Close the connection; the loop continues."""
         self._stack.close()
         if self._thread.is_alive():
             self._thread.join()
@@ -89,23 +89,22 @@ class Client:
 
     @property
     def scenario(self) -> Mapping[str, Any]:
-        """The message `scenario`: name, steps, rate_hz, runs (with modules, camera, columns) and model, the scenario as it is now."""
+        """Message `scenario`: name, steps, rate_hz, runs (with modules, camera, columns) and model, the current scenario."""
         return self._got.scenario
 
     @property
     def facts(self) -> Mapping[str, Any]:
-        """Of the run: an item of `scenario["runs"]`."""
-        facts: Mapping[str, Any] = self._got.facts
-        return facts
+        """Facts of the run, an item of `scenario["runs"]`."""
+        return dict(self._got.facts)
 
     @property
     def role(self) -> str:
-        """What the token allows: "edit" or "watch"."""
+        """Role of the token: "edit" or "watch"."""
         return str(self._got.welcome["role"])
 
     @property
     def state(self) -> State:
-        """The newest that has come."""
+        """Newest state."""
         self._check()
         assert self._got.state is not None
         self._given = self._got.state
@@ -113,7 +112,7 @@ class Client:
 
     @property
     def playing(self) -> bool:
-        """Whether the loop runs by itself."""
+        """Whether the loop runs freely."""
         return bool(self._got.playing)
 
     @property
@@ -122,37 +121,38 @@ class Client:
         return self._got.done_steps >= self.scenario["steps"]
 
     def rows(self) -> dict[str, np.ndarray]:
-        """Values of all steps so far, `[steps]` float32, by column of the recording; none is left out."""
+        """Values of all steps so far, `[steps]` float32, by column of the recording."""
         with self._news:
             return self._got.table()
 
     def want(self, *views: View) -> State:
-        """Have these views, and no others, from now on; the state that has them."""
+        """Request these views and no others; returns the first state with them."""
         wanted = set(views)
         self._ask("want", views=list(views), shared=self._shared)
         return self._wait_for(lambda state: wanted <= set(state.head["views"]))
 
     def take_pen(self) -> None:
-        """Be the one who steers; the first with an address to edit is so by itself."""
+        """Take control; the first client with an address for editing has it from the start."""
         self._ask("pen")
 
     def set(self, values: Mapping[str, Any]) -> None:
-        """Other values of keys, from the next step on: `{"functions.symbol.x_m": 18.0}`. None takes a table away."""
+        """Set keys from the next step on: `{"functions.symbol.x_m": 18.0}`. None removes a table."""
         self._ask("set", overrides=[f"{key}={'{}' if value is None else toml(_plain(value))}" for key, value in values.items()])
 
     def command(self, module: str, swivel_deg: float = 0.0, level_deg: float = 0.0, intensity: float = 1.0) -> None:
-        """Turn and dim a module, such as "left hires", from the next step on, until the next command.
+        """Turn and dim a module, such as "left hires", from the next step until the next command, within the module's limits.
 
-        swivel_deg: to the left positive. level_deg: down positive. intensity: share of its maximum. Limited by what the module can do.
+        swivel_deg: to the left positive. level_deg: down positive. intensity: share of its maximum.
         """
         values = {"swivel_deg": swivel_deg, "level_deg": level_deg, "intensity": intensity}
         name = re.sub("[^a-z0-9]+", "_", module.lower())
         self.set({f"functions.commanded_{name}": {"kind": "command", "modules": [module], **values}})
 
     def show(self, module: str, u: np.ndarray | None) -> None:
-        """Raw utilisations `[pixel rows, columns]` of a module, such as "left hires", in place of what functions draw, until the next.
+        """Set raw utilisations `[pixel rows, columns]` of a module, such as "left hires", instead of the functions' light, until the next
+        call.
 
-        u: 0 to 1, or uint8 with 255 for full utilisation, as which they are sent. None: what functions draw.
+        u: 0 to 1, or uint8 with 255 for full utilisation, which is the sent format. None: the functions' light.
         """
         names = [each["name"] for each in self.facts["modules"]]
         if module not in names:
@@ -168,7 +168,7 @@ class Client:
         self._ask("paint", {"value": value, "painted": painted}, module=number, box=box, over=u is None)
 
     def step(self) -> State:
-        """Do one step, and wait for its state."""
+        """Do one step; returns its state."""
         before = self._got.done_steps
         done = self._ask("step")["steps"][self._run]
         if done == before:
@@ -176,27 +176,27 @@ class Client:
         return self._wait_for(lambda state: state.step >= done - 1)
 
     def play(self) -> None:
-        """Run freely; `for state in client` gets the newest states."""
+        """Run freely; `for state in client` yields the newest states."""
         self._ask("play")
 
     def pause(self) -> None:
-        """Rest after the step that is done now."""
+        """Pause after the current step."""
         self._ask("pause")
 
     def reset(self) -> State:
-        """Start anew, from step 0."""
+        """Restart from step 0; returns its state."""
         self._ask("reset")
         return self._wait_for(lambda state: state.step == 0)
 
     def summary(self) -> Mapping[str, Any]:
-        """Results of all steps so far, as the recording's summary."""
+        """Results of all steps so far, as the summary of a recording."""
         self._ask("summary", run=self._run)
-        answer: Mapping[str, Any] = self._got.answers["summary"]["summary"]
-        return answer
+        return dict(self._got.answers["summary"]["summary"])
 
     def __iter__(self) -> Iterator[State]:
-        """New states, the newest first come: those that come while the program works on another one are left out. Ends when the loop
-        rests; raises LuxloopError where it has failed.
+        """Newest states; states that arrive while the program works are skipped. Ends when the loop pauses.
+
+        Raises LuxloopError if the loop has failed.
         """
         while True:
             self._wait(lambda: self._got.state is not self._given or self._got.at_rest)
@@ -208,12 +208,12 @@ class Client:
             yield state
 
     def _wait_for(self, fits: Callable[[State], bool]) -> State:
-        """The newest state that fits."""
+        """First newest state that fits."""
         self._wait(lambda: self._got.state is not None and fits(self._got.state))
         return self.state
 
     def _ask(self, kind: str, arrays: Mapping[str, np.ndarray] | None = None, **values: Any) -> Mapping[str, Any]:
-        """Have something done, and wait until it is; the answer `done`."""
+        """Send a request and wait for its completion; returns the answer `done`."""
         self._check()
         ask = self._number = self._number + 1
         self._got.replies.clear()
@@ -238,12 +238,12 @@ class Client:
                 self._news.wait(LOOK_S)
 
     def _check(self) -> None:
-        """Raises LuxloopError where the connection is lost."""
+        """Raise LuxloopError if the connection is lost."""
         if self._lost:
             raise LuxloopError(self._lost)
 
     def _listen(self) -> None:
-        """Take all that comes, in a thread of its own, so that states are the newest."""
+        """Receive messages in a thread, so that states are the newest."""
         try:
             for data in self._socket:
                 assert isinstance(data, bytes)
@@ -273,7 +273,7 @@ class Client:
 
 
 def _plain(value: Any) -> Any:
-    """Without numpy's numbers and arrays."""
+    """Value without NumPy numbers and arrays."""
     if isinstance(value, Mapping):
         return {key: _plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple):

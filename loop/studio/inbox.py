@@ -1,39 +1,39 @@
-"""What a program gets of a studio: messages decoded and put together, and a step as `State`."""
+"""Decoding of a studio's messages, and a step as `State`."""
 
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import prod
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from luxloop.world.messages import LENGTH, ArrayHead, decode
 
-MOST_BYTES: Final = 2**28  # of an array, decoded
+MOST_BYTES = 2**28  # of an array, decoded
 Arrays = Mapping[str, np.ndarray]
 
 
 def unpack(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Head and arrays of a message of the server. Raises ValueError where an array is not as the head says, or larger than MOST_BYTES."""
+    """Head and arrays of a server's message. Raises ValueError if an array contradicts its head, or is larger than MOST_BYTES."""
     (length,) = LENGTH.unpack_from(data)
     body = memoryview(data)[LENGTH.size + length :]
     head, arrays = json.loads(data[LENGTH.size : LENGTH.size + length]), {}
     for name, each in head.pop("arrays", {}).items():
-        told = ArrayHead.model_validate(each)
-        if int(told.dtype[1]) * prod(told.shape) > MOST_BYTES:
-            raise ValueError(f"array {name} has the shape {list(told.shape)}; arrays have at most {MOST_BYTES} bytes")
-        arrays[name] = decode(name, told, bytes(body[told.start : told.start + told.bytes]))
+        array = ArrayHead.model_validate(each)
+        if int(array.dtype[1]) * prod(array.shape) > MOST_BYTES:
+            raise ValueError(f"array {name} has the shape {list(array.shape)}; arrays have at most {MOST_BYTES} bytes")
+        arrays[name] = decode(name, array, bytes(body[array.start : array.start + array.bytes]))
     return head, arrays
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """A step of a run; what is not replies for, or not there in this step, is empty or None.
+    """A step of a run; contents that were not requested, or do not exist in this step, are empty or None.
 
-    head: what is plain, as docs/programs.md has it. metrics: the values of the recording, by column, NaN where there is none.
-    light: `[rows, columns]` float32 cd, the texture of each module by its name. utilisations: `[rows, columns]` uint8 of its pixels, 255
-    for full utilisation. arrays: all others, by name.
+    head: plain values, see docs/programs.md. metrics: values of the recording by column, NaN if missing. light: `[rows, columns]` float32
+    cd, texture of each module by its name. utilisations: `[rows, columns]` uint8 of each module's pixels, 255 for full utilisation. arrays:
+    all others, by name.
     """
 
     head: Mapping[str, Any]
@@ -44,56 +44,58 @@ class State:
 
     @property
     def step(self) -> int:
-        """Its number, from 0."""
+        """Number of the step, from 0."""
         return int(self.head["step"])
 
     @property
     def time_s(self) -> float:
-        """When it begins."""
+        """Start of the step in s."""
         return float(self.head["time_s"])
 
     @property
     def frames(self) -> tuple[np.ndarray, ...]:
-        """Digital numbers `[height, width]` of the frames that came in it: with all light, and, where controllers hold symbols, without."""
+        """Digital numbers `[height, width]` of the frames that arrived in this step: with all light, and, if symbols are held, without
+        them.
+        """
         return tuple(self.arrays[name] for name in ("frames.on", "frames.off") if name in self.arrays)
 
     @property
     def depth(self) -> np.ndarray | None:
-        """`[height, width]` float32 m along the camera's axis, 0 where there is nothing."""
+        """Depth `[height, width]` float32 m along the camera's axis, 0 without an object."""
         return self.arrays.get("depth")
 
     @property
     def instances(self) -> np.ndarray | None:
-        """What each pixel sees, `[height, width]` uint16: an index in `instance_names`."""
+        """Instance at each pixel, `[height, width]` uint16: an index in `instance_names`."""
         return self.arrays.get("instances")
 
     @property
     def instance_names(self) -> list[str]:
-        """Names of what there is; the first, "", is nothing, the second the road."""
+        """Names of the instances; the first, "", is none, the second the road."""
         return list(self.head.get("instances", ()))
 
     @property
     def materials(self) -> np.ndarray | None:
-        """The material that each pixel sees, `[height, width]` uint8: an index in `material_names`."""
+        """Material at each pixel, `[height, width]` uint8: an index in `material_names`."""
         return self.arrays.get("materials")
 
     @property
     def material_names(self) -> list[str]:
-        """Names of materials; the first, "", is nothing."""
+        """Names of the materials; the first, "", is none."""
         return list(self.head.get("materials", ()))
 
     @property
     def objects(self) -> list[Mapping[str, Any]]:
-        """The truth of all objects that are there: `name`, `category`, `instance` (its index in `instance_names`), `T_world_object`
-        (16 numbers, row by row), `size_m`, `box` (left, top, right, bottom in px of its visible part, None where it is not seen) and
-        `visible` (share that is not hidden).
+        """Truth of all objects: `name`, `category`, `instance` (its index in `instance_names`), `T_world_object` (16 numbers, row by row),
+        `size_m`, `box` (left, top, right, bottom in px of its visible part, None if hidden) and `visible` (visible share).
         """
         return list(self.head.get("truth", ()))
 
 
 class Inbox:
-    """The newest of each kind of message, put together. replies: answers `done` and `error` by their `ask`, None where the studio
-    could not read it. answers: others by type.
+    """Newest message of each type, combined.
+
+    replies: answers `done` and `error` by their `ask`, None for a message that the studio could not read. answers: others by type.
     """
 
     def __init__(self, run: int) -> None:
@@ -107,27 +109,27 @@ class Inbox:
         self._light, self._utilisations = dict[str, np.ndarray](), dict[str, np.ndarray]()
 
     def knows(self, done: Mapping[str, Any]) -> bool:
-        """Whether all has come that was so when this was done: runs made anew, and edits."""
+        """Whether everything that preceded an answer has arrived: new runs, and edits."""
         number: int = self.scenario["number"]
         return number > done["number"] or (number == done["number"] and self.edits >= done["edits"][self._run])
 
     @property
     def facts(self) -> Any:
-        """Of the run."""
+        """Facts of the run."""
         return self.scenario["runs"][self._run]
 
     @property
     def done_steps(self) -> int:
-        """How many steps of the run are done."""
+        """Number of the run's steps."""
         return self.steps[self._run] if self.steps else 0
 
     @property
     def at_rest(self) -> bool:
-        """Whether the newest state is there, and no other one comes by itself."""
+        """Whether the newest state has arrived, and none follows by itself."""
         return not self.playing and self.state is not None and self.state.step >= self.done_steps - 1
 
     def table(self) -> dict[str, np.ndarray]:
-        """All rows, by column."""
+        """Rows of all steps, by column."""
         columns = [each["name"] for each in self.facts["columns"]]
         rows = np.full((len(self._rows), len(columns)), np.nan, np.float32)
         for k, row in enumerate(self._rows):
@@ -135,7 +137,7 @@ class Inbox:
         return {name: rows[:, k] for k, name in enumerate(columns)}
 
     def take(self, head: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
-        """A message has come."""
+        """Take a message."""
         kind = head["type"]
         if kind == "welcome":
             self.welcome = head

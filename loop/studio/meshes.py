@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import count
-from typing import Any, Final
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -10,25 +10,25 @@ import numpy as np
 from luxloop.world.scene.body import Body, albedo_picture
 from luxloop.world.scene.triangles import Instance
 
-KEPT_BYTES: Final = 2**28  # of meshes: those of some 1.5 km of road
+KEPT_BYTES = 2**28  # of meshes, about 1.5 km of road
 
-Mesh = tuple[dict[str, Any], dict[str, np.ndarray]]  # head and arrays of it
+Mesh = tuple[dict[str, Any], dict[str, np.ndarray]]  # head and arrays
 
 
 class Meshes:
-    """Numbers bodies, and makes a mesh of each when it is first seen.
+    """Numbers and meshes of bodies; a mesh is made when its body first appears.
 
-    of: meshes by number, up to KEPT_BYTES; of a longer drive those that were not seen for longest are forgotten. Other threads may read it.
+    of: meshes by number, up to KEPT_BYTES; the least recently visible ones are dropped. Other threads may read it.
     """
 
     def __init__(self) -> None:
         self.of: dict[int, Mesh] = {}
         self._known: WeakKeyDictionary[Body, int] = WeakKeyDictionary()
-        self._seen: dict[int, int] = {}  # bytes of the meshes, that which was seen last at the end
+        self._seen: dict[int, int] = {}  # bytes of the meshes, the most recently visible last
         self._numbers = count()
 
     def number(self, placed: Instance) -> int:
-        """That of a placed body's mesh."""
+        """Number of a placed body's mesh."""
         number = self._known.get(placed.body)
         if number is None:
             number = self._known[placed.body] = next(self._numbers)
@@ -39,7 +39,7 @@ class Meshes:
         return number
 
     def assign(self, placed: Sequence[Instance]) -> list[tuple[int, Instance]]:
-        """All bodies of a step with their numbers; meshes of earlier steps beyond KEPT_BYTES are forgotten."""
+        """Bodies of a step with the numbers of their meshes; old meshes beyond KEPT_BYTES are dropped."""
         found = [(self.number(each), each) for each in placed]
         while sum(self._seen.values()) > KEPT_BYTES and len(self._seen) > len(found):
             oldest = next(iter(self._seen))
@@ -50,7 +50,7 @@ class Meshes:
 def _mesh(number: int, body: Body, kind: str) -> Mesh:
     if body.smooth and body.part_of_face is None:
         vertices, normals, faces = np.asarray(body.mesh.vertices), np.asarray(body.mesh.vertex_normals), np.asarray(body.mesh.faces)
-    else:  # faces that differ share no corners
+    else:  # different faces share no corners
         vertices, normals = body.corners.flatten(0, 1).numpy(), body.corner_normals.flatten(0, 1).numpy()
         faces = np.arange(len(vertices)).reshape(-1, 3)
     arrays = {"vertices": vertices.astype(np.float32), "normals": normals.astype(np.float32), "faces": faces.astype(np.uint32)}

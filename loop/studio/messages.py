@@ -1,9 +1,9 @@
-"""Messages of the studio's socket (docs/programs.md). The page's types are made from them by scripts/protocol.py."""
+"""Messages of the studio's clients (docs/programs.md). The page's types are made from them by scripts/protocol.py."""
 
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Annotated, Final, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
 
@@ -11,19 +11,19 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.messages import Arrays, given_arrays, understood, unpack
 from luxloop.world.params import Metres, Params
 
-PROTOCOL: Final = 1
-LARGEST: Final = 2**22  # bytes of a client's message
+PROTOCOL = 1
+LARGEST = 2**22  # bytes of a client's message
 
 View = Literal["scene", "light", "camera", "matrix", "marks", "frames", "depth", "instances", "materials", "truth"]
-VIEWS: Final[tuple[View, ...]] = ("scene", "light", "camera", "matrix", "marks")  # of a client that has not said what it shows
+VIEWS: tuple[View, ...] = ("scene", "light", "camera", "matrix", "marks")  # of a client without a request
 Text = Annotated[str, Field(max_length=4000)]
-Override = Annotated[str, Field(max_length=100_000)]  # of which a whole list may be one
+Override = Annotated[str, Field(max_length=100_000)]  # may hold a whole list
 Overrides = Annotated[tuple[Override, ...], Field(max_length=100)]
 Number = Annotated[int, Field(ge=0, lt=2**31)]
 
 
 class FromClient(Params):
-    """What a client says. ask: where it is given, `done` with the same number comes once this is done, or `error` with it."""
+    """A client's message. ask: number of the answer `done` or `error`; without it there is no `done`."""
 
     ask: Number | None = None
 
@@ -37,9 +37,9 @@ class Hello(FromClient):
 
 
 class Want(FromClient):
-    """What the client shows; nothing else is computed for it. Before the first one: scene, light, camera, matrix, marks.
+    """Contents that the client shows; nothing else is computed for it. By default: scene, light, camera, matrix, marks.
 
-    shared: arrays of steps come in memory of the same machine.
+    shared: whether arrays of steps come in shared memory of the same machine.
     """
 
     type: Literal["want"]
@@ -48,7 +48,9 @@ class Want(FromClient):
 
 
 class Scrub(FromClient):
-    """A step to see again, answered by `step` with `scrub`; no newer one is sent until step is null, which also goes after `scenario`."""
+    """Show an earlier step, answered by `step` with `scrub`; no newer step is sent until step is null. A message `scenario` ends it,
+    too.
+    """
 
     type: Literal["scrub"]
     run: Number = 0
@@ -56,14 +58,14 @@ class Scrub(FromClient):
 
 
 class AskSummary(FromClient):
-    """Ask for the summary of a run so far."""
+    """Request the summary of a run so far."""
 
     type: Literal["summary"]
     run: Number = 0
 
 
 class AskBeam(FromClient):
-    """Ask for a regulation's verdict on a lamp's light in a step, null for the newest."""
+    """Request the result of a regulation's requirements for a lamp's light in a step, null for the newest."""
 
     type: Literal["beam"]
     run: Number = 0
@@ -73,33 +75,33 @@ class AskBeam(FromClient):
 
 
 class AskSchema(FromClient):
-    """Ask for the schema of the scenario model."""
+    """Request the schema of the scenario model."""
 
     type: Literal["schema"]
 
 
 class Acknowledge(FromClient):
-    """A step is shown. id: that of its message. While two steps of a run are not shown, no other is sent."""
+    """A step was shown. id: of its message. While two steps of a run are not shown, no other is sent."""
 
     type: Literal["shown"]
     id: Number
 
 
 class Button(FromClient):
-    """Take the pen, run, pause, one step, start anew from step 0, undo or redo edits, ask for the scenario as it is now."""
+    """Take the pen (control), play, pause, do a step, restart, undo or redo edits, request the current scenario."""
 
     type: Literal["pen", "play", "pause", "step", "reset", "undo", "redo", "save"]
 
 
 class Speed(FromClient):
-    """Times real time at most, null without limit."""
+    """Largest speed as a multiple of real time, null without limit."""
 
     type: Literal["speed"]
     factor: float | None = Field(ge=0.001, le=1000)
 
 
 class Open(FromClient):
-    """Another scenario, with values as of `--set`, or the recording in a folder."""
+    """Open another scenario with overrides as of `--set`, or the recording in a folder."""
 
     type: Literal["open"]
     name: Text = ""
@@ -108,7 +110,7 @@ class Open(FromClient):
 
 
 class Set(FromClient):
-    """Other values of keys, `KEY=VALUE` each. Answered by `edit` if the runs can go on, else by `scenario`."""
+    """Set keys, `KEY=VALUE` each. Answered by `edit` if the runs can continue, else by `scenario`."""
 
     type: Literal["set"]
     overrides: Overrides
@@ -122,7 +124,7 @@ class Record(FromClient):
 
 
 class Drive(FromClient):
-    """Drive the vehicles of all runs until another message comes; both null: nobody any more. 1: full throttle, left; -1: brake, right."""
+    """Drive the vehicles of all runs until the next message; null for both ends the drive. 1: full throttle, left; -1: brake, right."""
 
     type: Literal["drive"]
     throttle: float | None = Field(ge=-1, le=1)
@@ -130,7 +132,7 @@ class Drive(FromClient):
 
 
 class Compare(FromClient):
-    """A second run beside the first, with other values or of a recording, which starts both anew; both null for none."""
+    """A second run beside the first, with overrides or from a recording; restarts both. Null for both removes the second run."""
 
     type: Literal["compare"]
     overrides: Overrides | None = None
@@ -138,11 +140,11 @@ class Compare(FromClient):
 
 
 class Paint(FromClient):
-    """Pixels of a module of the first run are painted.
+    """Paint pixels of a module of the first run.
 
-    box: first row, end row, first column, end column. Its arrays `[rows, columns]` take the place of what was painted there: value, 255 for
-    full utilisation; painted, 255 where the value holds, 0 where nothing is painted, and shares between, both u1. over: over the light of
-    functions, else in its place. stroke: successive messages of the same one, above 0 and unlike other clients', are undone together.
+    box: first row, end row, first column, end column. The arrays `[rows, columns]` replace what was painted there: value, 255 for full
+    utilisation; painted, the opacity, 255 for opaque; both u1. over: over the light of functions, else instead of it. stroke: messages with
+    the same number above 0, unique among clients, are undone together.
     """
 
     type: Literal["paint"]
@@ -153,9 +155,9 @@ class Paint(FromClient):
 
 
 class Place(FromClient):
-    """The pixels that light a point of the world as the newest step shows it.
+    """Find the pixels that light a point of the world in the newest step.
 
-    value: what they are painted with, 255 for full utilisation; null: nothing. stroke: as of `paint`.
+    value: paint them, 255 for full utilisation; null: do not. stroke: as of `paint`.
     """
 
     type: Literal["place"]
@@ -166,10 +168,10 @@ class Place(FromClient):
 
 
 class Wish(FromClient):
-    """Illuminances of the road before the car, or of a wall 25 m before it, for which the pixels of all modules are painted.
+    """Paint the pixels of all modules for wanted illuminances on the road ahead, or on a wall 25 m ahead.
 
-    box_m: least and largest x, least and largest y on the road; on the wall heights, and y. Its arrays `[rows, columns]`, along these, of
-    up to 20,000 cells: lx, f2 or f4; painted, u1, 0 where nothing is wanted.
+    box_m: least and largest x, least and largest y on the road; on the wall heights and y. The arrays `[rows, columns]` of up to 20,000
+    cells: lx, f2 or f4; painted, u1, 0 without a wanted illuminance.
     """
 
     type: Literal["wish"]
@@ -183,17 +185,18 @@ Message = (
     | (Want | Scrub | AskSummary | AskBeam | AskSchema | Acknowledge)
     | (Button | Speed | Open | Set | Record | Compare | Drive | Paint | Place | Wish)
 )
-ARRAYS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {  # dtypes of messages with a body, by type and name
+ARRAYS: Mapping[str, Mapping[str, tuple[str, ...]]] = {  # dtypes of messages with a body, by type and name
     "paint": {"value": ("u1",), "painted": ("u1",)},
     "wish": {"lx": ("f2", "f4"), "painted": ("u1",)},
 }
-MESSAGE: Final[TypeAdapter[Message]] = TypeAdapter(Annotated[Message, Field(discriminator="type")])
+MESSAGE: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="type")])
 
 
 @dataclass(frozen=True)
 class Request:
-    """What a client wants to see. at: run and step in place of the newest. shown: the last `id` of a step that it has shown.
-    shared: whether arrays of steps go through memory.
+    """Contents wanted by a client.
+
+    at: run and step instead of the newest. shown: last `id` of a shown step. shared: whether arrays of steps go through shared memory.
     """
 
     wanted: frozenset[View] = frozenset(VIEWS)
@@ -203,7 +206,7 @@ class Request:
 
 
 def read(data: bytes | str) -> tuple[Message, Arrays]:
-    """A client's message, and the arrays that messages of its type have. Raises LuxloopError that says what is wrong with it."""
+    """A client's message and its arrays. Raises LuxloopError with what is wrong with it."""
     with understood():
         head, arrays, body = unpack(data)
         message = MESSAGE.validate_python(head)
@@ -211,7 +214,7 @@ def read(data: bytes | str) -> tuple[Message, Arrays]:
 
 
 def ask_of(data: bytes | str) -> int | None:
-    """The number `ask` of a message that is refused, None where it has none."""
+    """Number `ask` of a refused message, None without one."""
     with suppress(LuxloopError), understood():
         return FromClient(ask=unpack(data)[0].get("ask")).ask
     return None

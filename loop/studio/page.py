@@ -1,19 +1,18 @@
-"""Where the studio's page lies, and how it is built from a checkout."""
+"""The studio's page: its folder, and its build from a checkout."""
 
 import os
 import shutil
 import subprocess
 from pathlib import Path
-from typing import Final
 
 from luxloop.world.errors import LuxloopError
 
-PAGE: Final = Path(__file__).parent / "page"
-SOURCES: Final = Path(__file__).parents[3] / "studio"  # of a checkout; a wheel has the page alone
+PAGE = Path(__file__).parent / "page"
+SOURCES = Path(__file__).parents[3] / "studio"  # of a checkout; a wheel has the page alone
 
 
 def page() -> Path:
-    """The page's folder; built first where a checkout has none, or newer sources. Raises LuxloopError where that cannot be."""
+    """Folder of the page, built first in a checkout with newer sources. Raises LuxloopError if there is no page."""
     built = PAGE / "index.html"
     sources = [*SOURCES.glob("*.*"), *SOURCES.glob("src/**/*.*")] if (SOURCES / "package.json").is_file() else []
     if built.is_file() and all(each.stat().st_mtime <= built.stat().st_mtime for each in sources):
@@ -25,7 +24,7 @@ def page() -> Path:
 
 
 def build(sources: Path) -> None:
-    """Build the page with npm, which fetches the packages that the lock file names. Raises LuxloopError where that fails."""
+    """Build the page with npm, which fetches the packages of the lock file. Raises LuxloopError if that fails."""
     npm, paths = _npm()
     here = {**os.environ, "PATH": os.pathsep.join([*paths, os.environ.get("PATH", "")])}
     print("building the page of the studio, once", flush=True)
@@ -37,7 +36,7 @@ def build(sources: Path) -> None:
 
 
 def _npm() -> tuple[list[str], list[str]]:
-    """npm's command, and folders that it needs on the path."""
+    """npm's command, and additional folders for its path."""
     if (found := shutil.which("npm")) is not None:
         return [found], []
     try:

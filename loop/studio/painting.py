@@ -1,7 +1,7 @@
-"""Light that clients paint on pixels, or want in the world (T 4.2.2), as another value of `lighting.painted`."""
+"""Light that clients paint on pixels, or want in the world (T 4.2.2), as a value of `lighting.painted`."""
 
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,17 +18,17 @@ from luxloop.world.frames import inverse
 from luxloop.world.messages import Arrays
 from luxloop.world.validation import toml
 
-MOST_CELLS: Final = 20_000
-MOST_LX: Final = 100_000.0
-# A wall before the middle of the lamps: x up, y to the left, z towards the car.
-T_BODY_WALL: Final = torch.tensor([[0.0, 0, -1, WALL_M], [0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]], dtype=torch.float64)
+MOST_CELLS = 20_000
+MOST_LX = 100_000.0
+# A wall ahead of the lamps: x up, y to the left, z towards the car.
+T_BODY_WALL = torch.tensor([[0.0, 0, -1, WALL_M], [0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]], dtype=torch.float64)
 
 Layer = tuple[Picture, Picture]  # value and cover `[rows, columns]` of a module's pixels
 Answer = tuple[dict[str, Any] | None, str | None]  # head of the message, and the override that paints
 
 
 def paint(run: Run, message: Paint, arrays: Arrays) -> Answer:
-    """What a message paints, without an answer. Raises LuxloopError where there is no such module, or no such pixels."""
+    """Override for painted pixels, without an answer. Raises LuxloopError for an invalid module or pixels."""
     simulation, modules = run.simulation, run.simulation.modules
     if message.module >= len(modules):
         raise LuxloopError(f"paint: there is no module {message.module}; there are {len(modules)}, numbered from 0")
@@ -47,7 +47,7 @@ def paint(run: Run, message: Paint, arrays: Arrays) -> Answer:
 
 
 def place(run: Run, message: Place, arrays: Arrays) -> Answer:
-    """The pixels that light a point of the world in the step that was shown last."""
+    """Pixels that light a point of the world in the last step, and an override if they are painted."""
     point, modules, layers = torch.tensor(message.point_m, dtype=torch.float64), list[dict[str, Any]](), dict[int, Layer]()
     for k, (module, pose) in enumerate(zip(run.simulation.modules, _poses(run), strict=True)):
         pixels, cd = lighting(module.headlight, pose, point)
@@ -60,7 +60,7 @@ def place(run: Run, message: Place, arrays: Arrays) -> Answer:
 
 
 def wish(run: Run, message: Wish, arrays: Arrays) -> Answer:
-    """What comes closest to the light wanted. Raises LuxloopError where the raster is none, or no pixel lights it."""
+    """Light closest to the wanted illuminances, and its override. Raises LuxloopError for an invalid raster, or if no pixel lights it."""
     lx, where = arrays["lx"], arrays["painted"] > 0
     x_min, x_max, y_min, y_max = message.box_m
     if lx.ndim != 2 or lx.shape != where.shape or not 0 < lx.size <= MOST_CELLS:
@@ -97,7 +97,7 @@ def wish(run: Run, message: Wish, arrays: Arrays) -> Answer:
 
 
 def layer(simulation: Simulation, module: int) -> Layer:
-    """A copy of what is painted on a module."""
+    """Copy of the layer painted on a module."""
     name, light = simulation.modules[module].name, simulation.modules[module].headlight
     nothing = (np.zeros((light.pixel_rows, light.pixel_cols), np.uint8),) * 2
     value, cover = next((each.pictures for each in simulation.scenario.lighting.painted if each.module == name), nothing)
@@ -105,14 +105,14 @@ def layer(simulation: Simulation, module: int) -> Layer:
 
 
 def override(simulation: Simulation, layers: Mapping[int, Layer], over: bool) -> str:
-    """What sets these layers, by module, beside all others. Layers over the functions that paint nothing are left out."""
+    """Override that sets layers by module, beside all others. Empty layers over the functions are left out."""
     names = [each.name for each in simulation.modules]
     params = {each.module: each for each in simulation.scenario.lighting.painted}
     for k, (value, cover) in layers.items():
         params.pop(names[k], None)
         if cover.any() or not over:
             params[names[k]] = PaintedParams.of(names[k], value, cover, over)
-    # the picture is a literal string, which is read fast
+    # a literal string is parsed fast
     tables = (
         f"{{module = {toml(each.module)}, png = '{each.png}', over = {toml(each.over)}}}"
         for each in sorted(params.values(), key=lambda each: names.index(each.module))
@@ -130,4 +130,4 @@ def _poses(run: Run) -> list[Tensor]:
     return [matrix(each["T_world_module"]) for each in run.snapshots[-1].head["modules"]]
 
 
-ACTS: Final[Mapping[str, Callable[[Run, Any, Arrays], Answer]]] = {"paint": paint, "place": place, "wish": wish}  # by type of the message
+ACTS: Mapping[str, Callable[[Run, Any, Arrays], Answer]] = {"paint": paint, "place": place, "wish": wish}  # by type of the message

@@ -1,10 +1,9 @@
-"""A recording that a run repeats: values of all its steps, the frames that it kept, and its edits."""
+"""A recording that a run repeats: values of all its steps, its stored frames, and its edits."""
 
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 import pyarrow as pa
@@ -15,40 +14,40 @@ from luxloop.loop.recording.replay import Recording
 from luxloop.loop.scenario.edits import Edit
 from luxloop.loop.studio.snapshot import Pictures, Snapshot, coded_frame, plain
 
-KEPT: Final = 16  # steps whose frames were read last
-AHEAD: Final = "recorded: the curves and, where they were kept, the frames; light and poses follow when this step has been run again"
+KEPT = 16  # cached steps with frames
+AHEAD = "recorded: the curves and, where they were kept, the frames; light and poses follow when this step has been run again"
 
 
 class Playback:
-    """What a recording knows of steps that are not yet run again. edits: those to come."""
+    """A recording's steps that are not yet repeated. edits: pending ones."""
 
     def __init__(self, folder: Path, recording: Recording) -> None:
-        """Raises LuxloopError where the table of frames is damaged."""
+        """Raises LuxloopError if the table of frames is damaged."""
         self.edits = deque(recording.edits)
         self._table, self._scenario = recording.table, recording.scenario
         self._frames, self._seen = KeptFrames(folder, recording.scenario), dict[int, Snapshot]()
 
     def columns(self, known: Sequence[pa.Field]) -> list[pa.Field]:
-        """Columns of numbers: those of the simulation, and those that edits have added."""
+        """Columns of numbers: those of the simulation, and those added by edits."""
         names = {each.name for each in known}
         return [*known, *(each for each in self._table.schema if each.name not in names and not pa.types.is_string(each.type))]
 
     def rows(self, columns: Sequence[pa.Field]) -> list[np.ndarray]:
-        """Values of all steps; NaN where there is none."""
+        """Values of all steps; NaN if missing."""
         lacks, there = np.full(self._table.num_rows, np.nan, np.float32), set(self._table.column_names)
         return list(np.stack([_numbers(self._table[each.name]) if each.name in there else lacks for each in columns], 1))
 
     def due(self, step: int) -> Edit | None:
-        """The next edit, where it holds from this step on or earlier."""
+        """Next edit up to this step, else None."""
         return self.edits.popleft() if self.edits and self.edits[0].step <= step else None
 
     def pictures(self, step: int) -> Pictures:
-        """Frames that were kept of a step."""
+        """Stored frames of a step."""
         most = 2**self._scenario.camera.bits - 1
         return {f"camera.{name}": coded_frame(frame, most) for name, frame in self._frames.at(step).items()}
 
     def snapshot(self, step: int, last: Snapshot) -> Snapshot:
-        """What was kept of a step. last: the last one that was run again, whose poses it has."""
+        """Snapshot of a recorded step. last: snapshot of the last repeated step, for its poses."""
         if step not in self._seen:
             head = {**last.head, "step": step, "time_s": step / self._scenario.rate_hz, "marks": [], "notes": [AHEAD]}
             kept = [*self._seen.items()][1 - KEPT :]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -42,20 +42,20 @@ from luxloop.world.headlight.lamp import Lamp, Module
 from luxloop.world.regulation import check_beam
 from luxloop.world.scene.triangles import NOTHING
 
-KEPT_BYTES: Final = 2**30  # of light and pictures of steps that are over; the oldest are forgotten beyond
-UNITS: Final = {"flux": "lm", "sharpness": "decades in 0.1 deg", "straightness": "deg"}  # of requirements by kind, else cd
-REST: Final = 20  # times what a picture takes pass between two, so that looking costs a twentieth at most
-MOST_EDITS: Final = 100  # of one step, while a run rests, that are kept one by one
-LONGEST_REST_S: Final = 1.0  # however long that took: who drives looks at the camera, too
+KEPT_BYTES = 2**30  # of light and pictures of past steps; the oldest are dropped
+UNITS = {"flux": "lm", "sharpness": "decades in 0.1 deg", "straightness": "deg"}  # of requirements by kind, else cd
+REST = 20  # interval of pictures as a multiple of their duration, so that they take a twentieth of the time
+MOST_EDITS = 100  # separate edits of one step
+LONGEST_REST_S = 1.0  # longest interval of pictures, for driving
 
 
 class Run:
     """Steps of one simulation, with what clients show of them.
 
-    The thread that steps it adds to `snapshots`, `rows`, `edits`, `told` and `meshes`, which others read; what was added stays, except the
-    light and pictures of old snapshots. rows: of a recording that is repeated those of all its steps; another list where an edit has ended
-    that. told: the edits that clients are sent: all but those of driving. columns: of the rows, the later ones of which may
-    have more. recorder: None while nothing is recorded. label: for the page.
+    The stepping thread adds to `snapshots`, `rows`, `edits`, `told` and `meshes`, which others read; nothing is removed but light and
+    pictures of old snapshots. rows: of a repeated recording those of all its steps; replaced when an edit ends the repetition. told: edits
+    sent to clients, all but those of driving. columns: of the rows; later rows may have more. recorder: None while nothing is recorded.
+    label: for the page.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Run:
         wanted: Collection[View] = VIEWS,
         playback: Playback | None = None,
     ) -> None:
-        """Does the first step, so that there is something to see. wanted: what somebody looks at. playback: of a recording to repeat."""
+        """Start a run with its first step. wanted: contents that clients show. playback: of a recording to repeat."""
         self.simulation, self.label, self.overrides = simulation, label, list(overrides)
         self.tally, self.highlights = Tally(simulation), Highlights(simulation)
         self.recorder: Recorder | None = None
@@ -78,14 +78,14 @@ class Run:
         self.rows = list[np.ndarray]() if playback is None else playback.rows(self.columns)
         self.step_ms = float("nan")
         self._state = simulation.start()
-        self._reached = self._state, simulation.scenario  # by the last step, before edits
+        self._reached = self._state, simulation.scenario  # after the last step, before edits
         self._kept, self._forgotten = 0, 0
         self._bodies = NOTHING
-        self._below: Sequence[Utilisation] | None = None  # light of the last step below what is painted, where another one is shown
-        self._ahead = False  # whether keys were edited since the last step
-        self._next: tuple[Simulation, Evaluation] | None = None  # what they make of the next step, once it is looked at
-        self._look_s = 0.0  # when a picture may be taken again
-        self._made = simulation, self.step(wanted)  # the last result, and the simulation that gave it
+        self._below: Sequence[Utilisation] | None = None  # light of the last step without paint
+        self._ahead = False  # whether edits follow the last step
+        self._next: tuple[Simulation, Evaluation] | None = None  # preview of the next step
+        self._look_s = 0.0  # time of the next picture
+        self._made = simulation, self.step(wanted)  # last result and its simulation
         self.white_cd_m2 = float(white_of(self._made[1], simulation))
         self.peaks_cd = [each.headlight.peak_cd for each in simulation.modules]
 
@@ -95,7 +95,7 @@ class Run:
         return len(self.snapshots) >= self.simulation.scenario.steps
 
     def step(self, wanted: Collection[View], still: bool = True) -> Evaluation:
-        """Do a step. wanted: what somebody looks at. still: nothing follows at once, so that there is time for pictures."""
+        """Do a step. wanted: contents that clients show. still: whether the run pauses afterwards, with time for pictures."""
         if self._below is not None or self._next is not None:
             self.snapshots[-1] = self._taken(*self._made, self.snapshots[-1], wanted)
         while self.playback is not None and (due := self.playback.due(len(self.snapshots))) is not None:
@@ -117,7 +117,7 @@ class Run:
         self._state, self._made = state, (self.simulation, result)
         self._reached = state, self.simulation.scenario
         self._below, self._next, self._ahead = None, None, False
-        if len(self.rows) == len(self.snapshots):  # not a step that was recorded
+        if len(self.rows) == len(self.snapshots):  # not from a recording
             self.rows.append(np.array([_number(values.get(each.name)) for each in self.columns], np.float32))
         self.snapshots.append(taken)
         if before is not None and before.exact:
@@ -128,14 +128,14 @@ class Run:
         return result
 
     def at(self, step: int) -> Snapshot:
-        """A step that is done, the last one for one beyond; or what a recording has of one that is not run again yet."""
+        """Snapshot of a step, the last one for later steps; of a repeated recording also a step not yet repeated."""
         snapshots, playback = self.snapshots, self.playback
         if playback is None or step < len(snapshots):
             return snapshots[min(step, len(snapshots) - 1)]
         return playback.snapshot(min(step, len(self.rows) - 1), snapshots[-1])
 
     def with_pictures(self, seen: Snapshot) -> Snapshot:
-        """A step with its pictures, or with frames of it that a recording kept; else the last one before that has any, or itself."""
+        """Snapshot with its pictures, or a recording's stored frames; else the last earlier one with pictures, or itself."""
         if seen.pictures:
             return seen
         if self.playback is not None and (kept := self.playback.pictures(seen.step)):
@@ -144,13 +144,13 @@ class Run:
         return next((each for each in before if each.pictures), seen)
 
     def record(self, directory: Path) -> None:
-        """Record all steps so far, and those to come until `end_recording`. Raises LuxloopError as `Recorder`, and where another process
-        writes there.
+        """Record all steps so far, and further ones until `end_recording`. Raises LuxloopError as `Recorder`, and if another process writes
+        there.
         """
         self.end_recording()
 
         def report(table: pa.Table, summary: dict[str, Any]) -> None:
-            from luxloop.loop.report.page import write_report  # Matplotlib, for which a start does not wait
+            from luxloop.loop.report.page import write_report  # imports Matplotlib, late for a fast start
 
             write_report(directory / REPORT, self.simulation, self.highlights, table, summary)
             gc.collect()  # see `luxloop.loop.run`
@@ -162,13 +162,13 @@ class Run:
             self.recorder, self._recording = recorder, stack.pop_all()
 
     def end_recording(self) -> None:
-        """Finish the recording, if there is one, which takes seconds, in which its report is drawn."""
+        """Finish the recording, if any, which draws its report for seconds."""
         self.recorder = None
         self._recording.close()
 
     def look_again(self, wanted: Collection[View]) -> None:
-        """Take the last snapshot anew, with all that somebody looks at now, and in the simulated world as edits make the next step."""
-        if self._ahead and self._next is None and self.simulation.scenario.plant.kind == "simulated":  # others show what they are asked
+        """Renew the last snapshot with all that clients show now, and in a simulated world with pending edits."""
+        if self._ahead and self._next is None and self.simulation.scenario.plant.kind == "simulated":  # other plants show light
             with locate(self.simulation.scenario.source):
                 _, following = self.simulation.step(self._state)
             self._next = self.simulation, replace(self.simulation.evaluate(following, self._made[1]), step=self._made[1].step)
@@ -176,7 +176,7 @@ class Run:
         self.snapshots[-1] = self._taken(*seen, self.snapshots[-1], wanted)
 
     def _repaint(self) -> Evaluation:
-        """The last result, with what is painted since; the next step shows it if that stays."""
+        """Last result with the current paint."""
         (simulation, result), lighting = self._made, self.simulation.scenario.lighting
         if lighting.painted == simulation.scenario.lighting.painted:
             return result
@@ -189,13 +189,14 @@ class Run:
         return snapshot(simulation, result, self.meshes.assign(self._bodies.placed), before, wanted)
 
     def prepare_edit(self, scenario: Scenario) -> tuple[Simulation, SimulationState]:
-        """What it would go on with under another scenario. Raises LuxloopError."""
+        """Simulation and state for another scenario. Raises LuxloopError."""
         state, by = self._reached
         return apply_edit(self.simulation, state, scenario, by)
 
     def edit(self, after: tuple[Simulation, SimulationState], overrides: tuple[str, ...], driven: bool = False) -> None:
-        """Go on with what `prepare_edit` gave, from the next step on; a recording is repeated no longer. overrides: that make its scenario.
-        driven: by somebody who drives.
+        """Continue with a prepared edit from the next step on; this ends the repetition of a recording.
+
+        overrides: of the scenario. driven: whether by driving.
         """
         if self.playback is not None:
             self.playback, self.rows = None, self.rows[: len(self.snapshots)]
@@ -212,14 +213,14 @@ class Run:
             self.highlights.edit(self.simulation)
             known = {each.name for each in self.columns}
             self.columns = [*self.columns, *(each for each in _numbers(self.simulation) if each.name not in known)]
-            if self.told and replaces(edit, self.told[-1]):  # so that strokes of a picture are kept once
+            if self.told and replaces(edit, self.told[-1]):  # a picture of many strokes is stored once
                 self.told[-1] = edit.model_copy(update={"overrides": ()})
             self.told.append(edit)
         (self.recorder or self.tally).edit(self.simulation, edit)
         edits = self.tally.edits
         first = next((k for k, each in enumerate(edits) if each.step == edit.step), len(edits))
         if len(edits) - first > MOST_EDITS:
-            with suppress(LuxloopError):  # values of keys do not say what has changed
+            with suppress(LuxloopError):  # not every change is a value of a key
                 edits[first:] = [Edit(step=edit.step, overrides=differences(self._reached[1], scenario))]
                 self.told[:-1] = [each.model_copy(update={"overrides": ()}) for each in self.told[:-1]]
 
@@ -230,17 +231,17 @@ class Run:
         self._forgotten = number + 1
 
     def summary(self) -> dict[str, Any]:
-        """Results of all steps so far. It renders, and so runs where the steps do."""
+        """Results of all steps so far. Renders, so call it in the stepping thread."""
         return self.tally.summary(self._outcomes)
 
     def _outcomes(self, table: pa.Table) -> dict[str, Any]:
-        """What has come of the checks that compare with no other light, by name."""
+        """Outcomes by name of the checks without comparison light."""
         return Checks(self.simulation.scenario.checks, None).outcomes(table)
 
     def beam(self, rule: str, side: str, step: int | None) -> list[dict[str, Any]]:
-        """A regulation's verdict on what the lamp of a side shows in a step, the newest for None, as the protocol has it.
+        """Result of a regulation's requirements for a side's light in a step, the newest for None, as the protocol has it.
 
-        Raises LuxloopError for an unknown rule, and where the light of that step is no longer kept.
+        Raises LuxloopError for an unknown rule, and if the light of that step is no longer stored.
         """
         shown = self.snapshots[-1 if step is None else min(step, len(self.snapshots) - 1)]
         if not shown.lights:
@@ -265,7 +266,7 @@ class Run:
         ]
 
     def facts(self) -> dict[str, Any]:
-        """What the page must know of it, plain."""
+        """Facts of the run for clients, plain."""
         scenario = self.simulation.scenario
         view = camera_view(scenario.camera)
         lens = {key: getattr(view, key) for key in ("width", "height", "fx", "fy", "cx", "cy")}
@@ -303,10 +304,10 @@ def start(
     device: str = "cpu",
     allow_code: bool = False,
 ) -> list[Run]:
-    """Runs of sources, each given with a scenario in place of its own, or None to read that.
+    """Runs of sources. sources: each with a scenario instead of its own, or None to load that.
 
-    old: in whose place they come, whose plants are closed once a new one is prepared, and whose parts serve again unless all is made anew.
-    wanted: what is looked at. told: gets what is being done. Raises LuxloopError.
+    old: runs to replace; their plants are closed once a new one is prepared, and their parts are reused unless `anew`. wanted: contents
+    that clients show. told: called with the current activity. Raises LuxloopError.
     """
     torch.set_num_threads(1)  # a step's operations are too small for two
     before = None if anew or not old else old[0].simulation
@@ -316,7 +317,7 @@ def start(
         told(f"preparing {scenario.name}")
         before = prepare(scenario, device, before)
         for run in old:
-            close_plant(run.simulation.plant)  # its address or devices are those of the new one
+            close_plant(run.simulation.plant)  # the new one needs its address or devices
         told(f"first step of {scenario.name}")
         playback = Playback(source.recording, recording) if source.recording and recording else None
         runs.append(Run(before, source.label, source.all, wanted, playback))
@@ -324,7 +325,7 @@ def start(
 
 
 def head(runs: Sequence[Run], number: int) -> dict[str, Any]:
-    """Head of the message that tells clients of new runs."""
+    """Head of the message `scenario`."""
     first = runs[0].simulation.scenario
     return {
         "type": "scenario",
@@ -337,12 +338,12 @@ def head(runs: Sequence[Run], number: int) -> dict[str, Any]:
 
 
 def _numbers(simulation: Simulation) -> list[pa.Field]:
-    """Columns of numbers."""
+    """Columns of numbers of a simulation's recording."""
     return [each for each in schema(simulation) if not pa.types.is_string(each.type)]
 
 
 def matrix(numbers: Sequence[float]) -> torch.Tensor:
-    """A pose `[4, 4]` of the 16 numbers that messages have."""
+    """Pose `[4, 4]` from the 16 numbers of a message."""
     return torch.tensor(numbers, dtype=torch.float64).view(4, 4)
 
 

@@ -1,9 +1,8 @@
-"""The studio's server: the page, and a socket by which its clients watch and steer one session."""
+"""The studio's server: the page, and a socket for the clients of one session."""
 
 import asyncio
 import json
 import secrets
-import socket
 import time
 import traceback
 from collections.abc import Callable
@@ -14,8 +13,7 @@ from functools import partial
 from http import HTTPStatus
 from ipaddress import ip_address
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
-from urllib.parse import urlsplit
+from typing import TYPE_CHECKING, Any
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers
@@ -23,6 +21,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request as HttpRequest
 from websockets.http11 import Response
 
+from luxloop.loop.rig.wire.sockets import is_own_host, refusing
 from luxloop.loop.studio.messages import (
     LARGEST,
     PROTOCOL,
@@ -49,30 +48,30 @@ from luxloop.world.messages import pack
 if TYPE_CHECKING:
     from luxloop.loop.studio.stream import Stream
 
-HELLO_S: Final = 10.0  # in which a client must say its token
-UNKNOWN: Final = 4401  # code by which a connection with another token is closed
-DEAF_S: Final = 20.0  # in which a client must take a message: what waits for it is kept
-STATUS_S: Final = 0.1  # between two words on the session's state
-READ_ONLY: Final = ("hello", "want", "scrub", "shown", "summary", "beam", "schema")  # types of messages that watchers may send as well
-MOST_ANSWERS: Final = 100  # that a client has not read yet
-MOST_ASKED: Final = 50  # messages of all clients, each of some megabytes, before the session
-KINDS: Final = {".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css", ".txt": "text/plain; charset=utf-8"}
+HELLO_S = 10.0  # time-out of a client's token
+UNKNOWN = 4401  # close code for a wrong token
+DEAF_S = 20.0  # time-out of sending a message
+STATUS_S = 0.1  # interval of messages on the session's state
+READ_ONLY = ("hello", "want", "scrub", "shown", "summary", "beam", "schema")  # message types open to watchers
+MOST_ANSWERS = 100  # unread by a client
+MOST_ASKED = 50  # waiting messages of all clients, some megabytes each
+KINDS = {".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css", ".txt": "text/plain; charset=utf-8"}
 
 
 @dataclass(frozen=True)
 class Tokens:
-    """What lets a client in: to edit, or to watch alone."""
+    """Tokens of clients that edit, or only watch."""
 
     edit: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     watch: str = field(default_factory=lambda: secrets.token_urlsafe(24))
 
     def role(self, token: str) -> str | None:
-        """`edit`, `watch`, or None of a token that is neither."""
+        """Role of a token: `edit`, `watch`, or None for another one."""
         return next((role for role in ("edit", "watch") if secrets.compare_digest(token.encode(), getattr(self, role).encode())), None)
 
 
 class Client:
-    """One connection. number: never used twice. is_here: whether it comes from this machine."""
+    """A client's connection. number: unique. is_here: whether it comes from this machine."""
 
     def __init__(self, connection: ServerConnection, number: int, role: str) -> None:
         self.connection, self.number, self.role = connection, number, role
@@ -82,12 +81,12 @@ class Client:
         self.changed, self.answers, self.asks = asyncio.Event(), list[dict[str, Any]](), set[tuple[str, int]]()
 
     def reply(self, head: dict[str, Any]) -> None:
-        """Answer as soon as it takes that."""
+        """Queue an answer."""
         self.answers.append(head)
         self.changed.set()
 
     async def send(self, data: bytes) -> None:
-        """Raises TimeoutError where the client does not take it."""
+        """Send a message. Raises TimeoutError if the client does not read."""
         async with asyncio.timeout(DEAF_S):
             await self.connection.send(data)
 
@@ -103,32 +102,27 @@ class Studio:
         self._pen: int | None = None
         self._threads = ThreadPoolExecutor(2, "messages")
         self.session = Session(sources, partial(self._later, self._tell), allow_code=allow_code, device=device)
-        self._names = frozenset({"localhost", socket.gethostname().lower()})
+        self._names = frozenset[str]()
 
     async def serve(self, host: str, port: int) -> Server:
-        """Listen; a port of 0 takes a free one. Raises LuxloopError where the port cannot be had."""
-        try:
+        """Listen; port 0 is a free port. Raises LuxloopError if the port is not available."""
+        remedy = "give an address of this machine and another --port, 0 for a free one"
+        with refusing(f"--host {host} --port {port}: cannot listen there", remedy):
             server = await serve(
                 self._client, host, port, process_request=self._answer, max_size=LARGEST, compression=None, ping_timeout=60
             )
-        except (OSError, OverflowError, ValueError) as error:  # a port beyond 65535, a host that is no name
-            reason = getattr(error, "strerror", None) or error
-            raise LuxloopError(
-                f"--host {host} --port {port}: cannot listen there ({reason}); give an address of this machine and another --port, "
-                "0 for a free one"
-            ) from error
         self._names |= {host.lower()}
         self.session.start()
         return server
 
     def stop(self) -> bool:
-        """End the session after the step that it is at. Returns whether it has ended."""
+        """End the session after the current step. Returns whether it has ended."""
         self._threads.shutdown(cancel_futures=True)
         return self.session.stop()
 
     def _answer(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
         host, origin = request.headers.get("Host", "").lower(), request.headers.get("Origin")
-        if not self._is_ours(host) or (origin is not None and origin.lower() not in (f"http://{host}", f"https://{host}")):
+        if not is_own_host(host, self._names) or (origin is not None and origin.lower() not in (f"http://{host}", f"https://{host}")):
             return _response(HTTPStatus.FORBIDDEN, "text/plain", b"This address is not that of the studio.\n")
         path = request.path.partition("?")[0]
         if path == "/socket":
@@ -139,22 +133,12 @@ class Studio:
             return _response(HTTPStatus.NOT_FOUND, "text/plain", b"There is no such file.\n")
         return _response(HTTPStatus.OK, KINDS[known[name].suffix], known[name].read_bytes())
 
-    def _is_ours(self, host: str) -> bool:
-        """Whether a Host header names this machine: a page of somebody else, whose name is made to lead here, has that name in it."""
-        try:
-            name = urlsplit(f"//{host}").hostname or ""
-        except ValueError:
-            return False
-        with suppress(ValueError):
-            return bool(ip_address(name))
-        return name in self._names
-
     async def _client(self, connection: ServerConnection) -> None:
         try:
             async with asyncio.timeout(HELLO_S):
                 hello, _ = read(await connection.recv())
             role = self.tokens.role(hello.token) if isinstance(hello, Hello) else None
-        except (TimeoutError, ConnectionClosed):  # a page on a busy machine comes again
+        except (TimeoutError, ConnectionClosed):  # a page on a busy machine reconnects
             await connection.close()
             return
         except LuxloopError:
@@ -174,7 +158,7 @@ class Studio:
         try:
             async for data in connection:
                 self._receive(client, data)
-                while len(client.answers) > MOST_ANSWERS or self.session.waiting > MOST_ASKED:  # who does not read is not read
+                while len(client.answers) > MOST_ANSWERS or self.session.waiting > MOST_ASKED:  # a client that does not read is not served
                     await asyncio.sleep(STATUS_S)
         except ConnectionClosed:
             pass
@@ -205,7 +189,7 @@ class Studio:
             case Want(views=views, shared=shared):
                 client.request = replace(client.request, wanted=frozenset(views), shared=shared)
                 self._look()
-                if message.ask is not None:  # done once the session has looked
+                if message.ask is not None:  # `done` follows the view
                     self._inquire(client, message)
             case Scrub(step=step):
                 client.request = replace(client.request, at=None if step is None else (message.run, step))
@@ -233,7 +217,7 @@ class Studio:
             raise LuxloopError(f"{message.type}: another page holds the pen; take it first")
 
     def _inquire(self, client: Client, message: Message) -> None:
-        """Have the session answer what watchers may ask as well, one of a kind at a time."""
+        """Pass a watcher's request to the session, one of a type at a time."""
         ask = message.type, getattr(message, "run", 0)
 
         def finish(head: dict[str, Any]) -> None:
@@ -248,12 +232,12 @@ class Studio:
             self.session.ask(message, partial(self._later, finish))
 
     def _later(self, what: Callable[..., None], *arguments: Any) -> None:
-        """Do something for clients, from another thread."""
-        with suppress(RuntimeError):  # the loop is closed, and nobody listens
+        """Call a function in the event loop, from another thread."""
+        with suppress(RuntimeError):  # the event loop is closed
             self._loop.call_soon_threadsafe(what, *arguments)
 
     def _let_go(self) -> None:
-        """Who drove does not any more."""
+        """End a drive."""
         self.session.ask(Drive(type="drive", throttle=None, steering=None), lambda head: None)
 
     def _look(self) -> None:
@@ -268,14 +252,14 @@ class Studio:
             await self._send(client)
         except ConnectionClosed:
             pass
-        except TimeoutError:  # nor would it take a word of farewell
+        except TimeoutError:  # a close message would not be read either
             client.connection.transport.abort()
         except Exception:
             traceback.print_exc()
             await client.connection.close(1011, "the server failed to send; the terminal of luxloop studio shows why")
 
     async def _send(self, client: Client) -> None:
-        """Send what a client lacks whenever something has changed; while it takes that, changes gather, and the newest comes next."""
+        """Send what a client lacks after each change; while the client reads slowly, changes gather, and only the newest is sent."""
         last, said_s, preparing, chosen, soon = "", 0.0, None, None, False
         while True:
             await client.changed.wait()

@@ -1,4 +1,4 @@
-"""What is run for the studio's clients: one thread that prepares, steps and answers, to which OpenGL belongs."""
+"""The studio's session: one thread, which owns OpenGL, prepares and steps runs, and answers clients."""
 
 import math
 import queue
@@ -8,7 +8,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from luxloop.loop.studio.messages import (
     VIEWS,
@@ -38,13 +38,13 @@ if TYPE_CHECKING:
 
     Scenarios = tuple[Scenario, ...]  # of all runs
 
-PATIENCE_S, REPORT_S = 5.0, 60.0  # with a step, and with the report of a recording, when all shall end
-LOOK: Final = "look"
-LOOK_AT_FILE_S: Final = 0.5  # between two looks at the scenario's file
-MOST_WAITING: Final = 2  # messages behind a step that is still done
-SMOOTH: Final = 0.2  # share of a step in the mean of its time
-TOGETHER_S: Final = 1.0  # edits of the same keys that follow each other as fast, as of a drag, are undone together
-MOST_UNDO: Final = 200  # edits
+PATIENCE_S, REPORT_S = 5.0, 60.0  # time-outs at the end, of a step and of a recording's report
+LOOK: Literal["look"] = "look"
+LOOK_AT_FILE_S = 0.5  # interval of checks of the scenario's file
+MOST_WAITING = 2  # waiting messages up to which a step is done
+SMOOTH = 0.2  # weight of the newest step in the mean speed
+TOGETHER_S = 1.0  # longest interval of edits of the same keys that are undone together, as of a drag
+MOST_UNDO = 200  # edits
 
 Way = Literal["undo", "redo"]
 Reply = Callable[[dict[str, Any]], None]
@@ -52,8 +52,9 @@ Reply = Callable[[dict[str, Any]], None]
 
 @dataclass(frozen=True, eq=False)
 class SessionState:
-    """What all clients may see. number: another one where runs were made anew. choices, scenario: heads of messages. real_time: as a
-    multiple.
+    """State for all clients.
+
+    number: changes with new runs. choices, scenario: heads of messages. real_time: speed as a multiple of real time.
     """
 
     number: int = 0
@@ -70,18 +71,18 @@ class SessionState:
 
     @property
     def steps(self) -> list[int]:
-        """How many steps are done of each run."""
+        """Number of steps of each run."""
         return [len(run.snapshots) for run in self.runs]
 
     @property
     def edits(self) -> list[int]:
-        """The number of edits of each run that clients are sent."""
+        """Number of edits of each run that are sent to clients."""
         return [len(run.told) for run in self.runs]
 
 
 @dataclass(frozen=True)
 class Steering:
-    """Somebody drives. steps: those of the runs before that."""
+    """A drive. steps: of the runs' scenarios before it."""
 
     steps: tuple[int, ...]
     throttle: float = 0.0
@@ -90,7 +91,7 @@ class Steering:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A client's message, and where its answer goes. arrays: of its body."""
+    """A client's message with its arrays, and the receiver of its answer."""
 
     message: Message
     reply: Reply
@@ -98,14 +99,14 @@ class Task:
 
 
 class History:
-    """Scenarios before each edit, and after those that were taken back."""
+    """Undo history: scenarios before each edit, and after each undone one."""
 
     def __init__(self) -> None:
         self._scenarios: dict[Way, list[Scenarios]] = {"undo": [], "redo": []}
         self._last: tuple[frozenset[str], float] = frozenset(), 0.0
 
     def add(self, before: "Scenarios", overrides: Sequence[str], stroke: int = 0) -> None:
-        """An edit was made. before: the scenarios before it. stroke: number, above 0, of what it is part of, however long that takes."""
+        """Add an edit. before: scenarios before it. stroke: number, above 0, of the paint stroke to which it belongs."""
         keys = frozenset({f"stroke {stroke}"} if stroke else (each.partition("=")[0].strip() for each in overrides))
         now_s, together_s = time.monotonic(), math.inf if stroke else TOGETHER_S
         (same, then_s), self._last = self._last, (keys, now_s)
@@ -114,26 +115,26 @@ class History:
         self._scenarios["redo"] = []
 
     def newest(self, way: Way) -> "Scenarios":
-        """Where a way leads. Raises LuxloopError where it leads nowhere."""
+        """Scenarios to return to. Raises LuxloopError if there are none."""
         if not self._scenarios[way]:
             raise LuxloopError(f"{way}: there is nothing to {way}")
         return self._scenarios[way][-1]
 
     def go(self, way: Way, before: "Scenarios") -> None:
-        """A way was gone. before: the scenarios before that."""
+        """Note an undo or redo. before: scenarios before it."""
         self._scenarios[way].pop()
         self._scenarios["redo" if way == "undo" else "undo"].append(before)
         self._last = frozenset(), 0.0
 
 
 class Session:
-    """Runs a source, and a second one beside it, as clients ask.
+    """Session of a run, and a second one beside it.
 
-    state: replaced whole; any thread may read it. wanted: what somebody looks at; any thread may replace it.
+    state: replaced as a whole; any thread may read it. wanted: contents that clients show; any thread may replace it.
     """
 
     def __init__(self, sources: tuple[Source, ...], notify: Callable[[], None], *, allow_code: bool = False, device: str = "auto") -> None:
-        """sources: one, or two that step beside each other. notify: called after each change, from the session's thread."""
+        """sources: one, or two that step together. notify: called after each change, from the session's thread."""
         self.state = SessionState()
         self.wanted: frozenset[View] = frozenset(VIEWS)
         self._sources = self._given = sources
@@ -145,26 +146,26 @@ class Session:
         self._thread = threading.Thread(target=self._work, name="simulation", daemon=True)
 
     def start(self) -> None:
-        """Begin to prepare."""
+        """Start the thread."""
         self._thread.start()
 
     def ask(self, message: Message, reply: Reply, arrays: Arrays | None = None) -> None:
-        """Do as a client asks, in turn; reply: gets heads of answers, from the session's thread. arrays: of the message's body."""
+        """Queue a client's message. reply: called with heads of answers, from the session's thread. arrays: of the message."""
         self._tasks.put(Task(message, reply, arrays or {}))
 
     @property
     def waiting(self) -> int:
-        """How many messages wait."""
+        """Number of waiting messages."""
         return self._tasks.qsize()
 
     def look(self, wanted: frozenset[View]) -> None:
-        """What somebody looks at; where that is more than before, a step that rests is looked at anew."""
+        """Set the contents that clients show; additional ones renew the picture of a pausing run."""
         more, self.wanted = wanted - self.wanted, wanted
         if more:
             self._tasks.put(LOOK)
 
     def stop(self) -> bool:
-        """End the thread after the step that it is at. Returns whether it has ended: one that prepares something for long has not."""
+        """End the thread after the current step. Returns whether it has ended, which a long preparation prevents."""
         self._tasks.put(None)
         self._thread.join(PATIENCE_S if self.state.recording is None else REPORT_S)
         return not self._thread.is_alive()
@@ -191,7 +192,7 @@ class Session:
                 self._attempt(partial(self._do, task), task)
 
     def _attempt(self, what: Callable[[], None], task: Task | None = None) -> None:
-        """Errors become a sentence: the answer to who asked, and of what nobody asked the state of the session."""
+        """Call a function; an error becomes a sentence for the client that asked, or in the session's state."""
         try:
             what()
             if task is not None and task.message.ask is not None:
@@ -228,7 +229,7 @@ class Session:
                 self._look_again()
             case Button(type="step"):
                 self._publish(playing=False)
-                if task.message.ask is not None or self._tasks.qsize() <= MOST_WAITING:  # a key that is held down
+                if task.message.ask is not None or self._tasks.qsize() <= MOST_WAITING:  # fewer steps for a key that is held down
                     self._step()
             case Button(type="reset"):
                 self._publish(playing=False)
@@ -299,13 +300,13 @@ class Session:
             refuse_foreign(overrides)
 
     def _source(self, message: Open | Compare) -> Source:
-        """What a client names. Raises LuxloopError for what it may not open."""
+        """Source named by a client. Raises LuxloopError if it may not be opened."""
         self._refuse(message.overrides or ())
         recordings = {each["name"] for each in (self.state.choices or {}).get("recordings", ())}
         return open_source(message, self._given, recordings, self._allow_code)
 
     def _take_over(self) -> Steering:
-        """Somebody drives from the next step on."""
+        """Begin a drive from the next step on."""
         from luxloop.loop.scenario.driving import begin_drive
 
         before = self._scenarios()
@@ -313,7 +314,7 @@ class Session:
         return Steering(tuple(each.steps for each in before))
 
     def _let_go(self) -> None:
-        """Nobody drives any more."""
+        """End a drive."""
         from luxloop.loop.scenario.driving import end_drive
 
         steering, self._steering = self._steering, None
@@ -323,7 +324,7 @@ class Session:
             self._become(scenarios, overrides)
 
     def _drive(self, steering: Steering) -> None:
-        """The course goes on for the next step of all runs."""
+        """Extend the course of all runs for the next step."""
         from luxloop.loop.scenario.driving import continue_drive
         from luxloop.world.scene.driver import Controls
 
@@ -345,7 +346,7 @@ class Session:
             return
         period_s = 1 / runs[0].simulation.scenario.rate_hz
         ended_s = time.perf_counter()
-        if state.speed is not None:  # behind its time it goes on at once, but makes up for no more than a step
+        if state.speed is not None:  # a late step starts at once; at most one step is made up
             self._next_s = max(self._next_s, began_s - period_s / state.speed) + period_s / state.speed
         took_s = max(ended_s, self._next_s) - began_s if state.playing and state.speed else ended_s - began_s
         before, now = state.real_time, period_s / took_s
@@ -356,13 +357,13 @@ class Session:
             self._record(None)
 
     def _scenarios(self) -> "Scenarios":
-        """As they are now, of all runs. Raises LuxloopError where there are none."""
+        """Current scenarios of all runs. Raises LuxloopError without runs."""
         if not self.state.runs:
             raise LuxloopError("nothing is prepared; open a scenario first")
         return tuple(run.simulation.scenario for run in self.state.runs)
 
     def _edit(self, overrides: tuple[str, ...], stroke: int = 0) -> None:
-        """Other values of keys in all runs. stroke: as of `History.add`. Raises LuxloopError where one cannot have them."""
+        """Set keys in all runs. stroke: as of `History.add`. Raises LuxloopError if a value is invalid."""
         from luxloop.loop.scenario.edits import with_overrides
 
         before = self._scenarios()
@@ -371,8 +372,9 @@ class Session:
         self._history.add(before, overrides, stroke)
 
     def _become(self, scenarios: "Scenarios", overrides: Sequence[tuple[str, ...]] | None = None) -> None:
-        """Other values of keys: while the runs go on, as far as that can be, else in runs that start anew. overrides: that make each of
-        the one there is; None for what tells them apart.
+        """Change to other scenarios: running runs continue if possible, else they restart.
+
+        overrides: of each scenario from the current one; None for their differences.
         """
         from luxloop.loop.scenario.edits import acts, differences
 
@@ -385,14 +387,14 @@ class Session:
         if "prepared" in when:
             self._publish(progress=f"preparing {' '.join(overrides[0])}"[:200])
         runs = self.state.runs
-        after = [run.prepare_edit(scenario) for run, scenario in zip(runs, scenarios, strict=True)]  # of all, or none where one cannot be
+        after = [run.prepare_edit(scenario) for run, scenario in zip(runs, scenarios, strict=True)]  # before any run changes
         for run, simulation, each in zip(runs, after, overrides, strict=True):
             run.edit(simulation, each)
-        self._publish(failed=None, progress=None)  # before the picture, which takes a step's time
+        self._publish(failed=None, progress=None)  # before the picture, which takes as long as a step
         self._look_again()
 
     def _reload(self) -> None:
-        """What has changed in the file is an edit."""
+        """Edit by the changes in the scenario's file."""
         from luxloop.loop.scenario.edits import differences, with_overrides
 
         before, after = self._file.scenario, self._sources[0].load(self._allow_code)[0]
@@ -403,14 +405,14 @@ class Session:
         self._file.scenario = after
 
     def _own_scenarios(self) -> tuple["Scenario | None", ...]:
-        """Scenarios as they are now, for runs that start anew; None of recordings that are repeated."""
+        """Current scenarios for restarted runs; None for repeated recordings."""
         return tuple(None if run.playback else run.simulation.scenario for run in self.state.runs) or (None,) * len(self._sources)
 
     def _start_anew(self) -> None:
         self._prepare(self._sources, self._own_scenarios())
 
     def _compare(self, message: Compare) -> None:
-        """Two runs from their first step on, the first one with all edits; or that one alone."""
+        """Restart with two runs, the first one with all edits; or with the first one alone."""
         from luxloop.loop.scenario.edits import with_overrides
 
         overrides, (first, *_), (scenario, *_) = message.overrides, self._sources, self._own_scenarios()
@@ -438,14 +440,14 @@ class Session:
             self._publish(recording=folder)
 
     def _choose(self) -> None:
-        """Tell what there is to choose from, where that has changed."""
+        """Publish the choices if they have changed."""
         if (found := choices()) != self.state.choices:
             self._publish(choices=found)
 
     def _prepare(self, sources: tuple[Source, ...], scenarios: tuple["Scenario | None", ...]) -> None:
-        """Make runs of sources in place of those there are; where one cannot be made, they stay.
+        """Replace the runs by runs of sources; on failure the old ones stay.
 
-        scenarios: in place of the sources' own, None of one that is read, from its files as they are now. Raises LuxloopError.
+        scenarios: instead of the sources' own, None to load them from the current files. Raises LuxloopError.
         """
         self._publish(progress="importing PyTorch and the renderer")
         from luxloop.loop.studio.runs import head, start
@@ -456,7 +458,7 @@ class Session:
         runs = start(zip(sources, scenarios, strict=True), self.state.runs, self.wanted, lambda text: self._publish(progress=text), **how)
         try:
             self._record(None)
-        finally:  # a recording that cannot be finished keeps no other run from its start
+        finally:  # also if a recording cannot be finished
             if anew or len(sources) != len(self._sources):
                 self._history = History()
             if anew:

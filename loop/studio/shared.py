@@ -1,4 +1,4 @@
-"""Arrays of steps in memory that a client on the same machine reads, in place of the socket (docs/programs.md)."""
+"""Arrays of steps in shared memory, for clients on the same machine (docs/programs.md)."""
 
 import os
 import secrets
@@ -10,31 +10,31 @@ from contextlib import suppress
 from multiprocessing import resource_tracker
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from luxloop.world.errors import LuxloopError
 from luxloop.world.messages import CODES
 
-HEAD: Final = struct.Struct("<8sIIQQ")  # magic, version, bytes of the head, number, bytes of the arrays
-NUMBER: Final = struct.Struct("<Q")
-NUMBER_AT: Final = 16
-MAGIC: Final = b"LUXLOOP\0"
-VERSION: Final = 1
-ALIGNED: Final = 64  # bytes: of the head, and to which arrays are aligned
-LINUX: Final = Path("/dev/shm")
+HEAD = struct.Struct("<8sIIQQ")  # magic, version, bytes of the head, number, bytes of the arrays
+NUMBER = struct.Struct("<Q")
+NUMBER_AT = 16
+MAGIC = b"LUXLOOP\0"
+VERSION = 1
+ALIGNED = 64  # bytes of the head, and alignment of arrays
+LINUX = Path("/dev/shm")
 
 
 class Blocks:
-    """Blocks of one client, two for each run, which take turns: while it reads one, the next step is written to the other."""
+    """Shared memory of one client, two blocks per run: while one is read, the next step is written to the other."""
 
     def __init__(self) -> None:
         self._blocks, self._lock, self._closed = dict[tuple[int, int], SharedMemory](), threading.Lock(), False
-        self._turns = dict[int, int]()  # of each run, whose two blocks are written in turn
+        self._turns = dict[int, int]()  # block written last, by run
 
     def put(self, run: int, number: int, arrays: Mapping[str, np.ndarray]) -> dict[str, Any] | None:
-        """Write arrays of a step, and say where they lie; None where there is no room. number: that of its message, above 0."""
+        """Write arrays of a step; returns their places, None without room. number: of the message, above 0."""
         listed, end = dict[str, Any](), ALIGNED
         for name, array in arrays.items():
             listed[name] = {"dtype": CODES[str(array.dtype)], "shape": array.shape, "start": end, "bytes": array.nbytes}
@@ -52,7 +52,7 @@ class Blocks:
             return {"block": block.name, "process": os.getpid(), "arrays": listed}
 
     def close(self) -> None:
-        """Give them back; nothing is written any more."""
+        """Release all blocks."""
         with self._lock:
             self._closed = True
             for block in self._blocks.values():
@@ -77,20 +77,20 @@ def _free(block: SharedMemory) -> None:
 
 
 class BlockReader:
-    """The blocks of a studio that this program has read."""
+    """Reader of a studio's shared memory."""
 
     def __init__(self) -> None:
         self._blocks = dict[str, SharedMemory]()
 
     def arrays(self, told: Mapping[str, Any], number: int) -> dict[str, np.ndarray] | None:
-        """Copies of a step's arrays, None where another step's lie there by now. told: `shared` of its message. number: its `id`.
+        """Copies of a step's arrays, None if they are overwritten. told: `shared` of the message. number: its `id`.
 
-        Raises LuxloopError where there is no such block on this machine.
+        Raises LuxloopError if this machine has no such block.
         """
         try:
             block = self._block(told["block"], told["process"])
         except FileNotFoundError:
-            if self._blocks:  # its studio has made another one since
+            if self._blocks:  # replaced by a newer block
                 return None
             raise LuxloopError("the studio's memory is not on this machine; connect with shared=False") from None
         assert block.buf is not None
@@ -103,13 +103,13 @@ class BlockReader:
         return found if written == number == NUMBER.unpack_from(block.buf, NUMBER_AT)[0] else None
 
     def close(self) -> None:
-        """Let go of all blocks."""
+        """Close all blocks."""
         for block in self._blocks.values():
             block.close()
 
     def _block(self, name: str, process: int) -> SharedMemory:
         if name not in self._blocks:
             self._blocks[name] = SharedMemory(name)
-            if os.name == "posix" and process != os.getpid():  # it is the studio that gives it back
+            if os.name == "posix" and process != os.getpid():  # the studio releases it
                 resource_tracker.unregister(f"/{name}", "shared_memory")
         return self._blocks[name]

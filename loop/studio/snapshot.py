@@ -1,4 +1,4 @@
-"""A step as the studio's clients see it: poses, bodies, light and pictures, made where the simulation runs."""
+"""A step for the studio's clients: poses, bodies, light and pictures, made in the simulation's thread."""
 
 import json
 import zlib
@@ -25,8 +25,10 @@ Pictures = dict[str, np.ndarray]  # `[height, width]` uint8, by name
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A step. plain: its head, packed. lights: utilisations `[n_p]`, dimmed as modules were commanded, one a module; the same tensor as in
-    the step before where nothing changed. pictures: `camera.on`, `camera.off`, `camera.symbol`, where somebody looked.
+    """A step for clients.
+
+    plain: its head, compressed. lights: utilisations `[n_p]` times commanded intensity, one per module; an unchanged tensor is shared with
+    the previous step. pictures: `camera.on`, `camera.off`, `camera.symbol`, if requested. exact: arrays for programs.
     """
 
     step: int
@@ -37,18 +39,18 @@ class Snapshot:
 
     @property
     def head(self) -> dict[str, Any]:
-        """What is plain."""
+        """Head of the message."""
         head: dict[str, Any] = json.loads(zlib.decompress(self.plain))
         return head
 
     def bytes_beside(self, before: "Snapshot | None") -> int:
-        """What it holds of light and pictures that the snapshot of the step before does not."""
+        """Bytes of light and pictures that the previous snapshot does not share."""
         shared = set() if before is None else {id(u) for u in before.lights}
         return sum(u.nbytes for u in self.lights if id(u) not in shared) + sum(picture.nbytes for picture in self.pictures.values())
 
 
 def bodies_at(simulation: Simulation, time_s: float, before: Triangles) -> Triangles:
-    """What is there at a time, where the plant knows it. before: those of another time."""
+    """Bodies at a time, if the plant knows them. before: those of another time."""
     world = simulation.truth
     return NOTHING if world is None else world.scene.at(time_s, world.motion.at(time_s).T_world_ground, before)
 
@@ -56,10 +58,9 @@ def bodies_at(simulation: Simulation, time_s: float, before: Triangles) -> Trian
 def snapshot(
     simulation: Simulation, result: Evaluation, bodies: Sequence[tuple[int, Instance]], before: Snapshot | None, wanted: Collection[View]
 ) -> Snapshot:
-    """Of a step that was just done. bodies: what is there, with the numbers of their meshes. before: the snapshot of the step before.
-    wanted: what somebody looks at.
+    """Snapshot of the last step, made in the simulation's thread, since it renders.
 
-    It renders what pictures need, and so runs where the simulation does.
+    bodies: with the numbers of their meshes. before: snapshot of the previous step. wanted: contents that clients show.
     """
     world, time_s = simulation.truth, result.time_s
     vehicle = (STANDING if world is None else world.motion).at(time_s)
@@ -93,7 +94,7 @@ def snapshot(
         ],
         "symbols": {name: _symbol(simulation, result, name, T_world_ground) for name in result.held},
         "marks": [vars(each) for each in marks(result, simulation)] if "marks" in wanted else [],
-        "notes": [text for text, _ in captions(result, simulation)[2:]],  # without the name and the step, which stand elsewhere
+        "notes": [text for text, _ in captions(result, simulation)[2:]],  # without name and step
     }
     pictures = _pictures(simulation, result) if "camera" in wanted else {}
     more, arrays = _exact(simulation, result, wanted)
@@ -101,7 +102,7 @@ def snapshot(
 
 
 def plain(head: Mapping[str, Any]) -> bytes:
-    """As a snapshot keeps it, in a tenth of the memory."""
+    """Compressed head, a tenth of its size."""
     return zlib.compress(json.dumps(head).encode(), 1)
 
 
@@ -136,15 +137,15 @@ def _pictures(simulation: Simulation, result: Evaluation) -> Pictures:
 
 
 def coded_frame(frame: Tensor, most: int) -> np.ndarray:
-    """Digital numbers as 255 times the root of their share of the most: noise is as coarse in the dark as in the light."""
+    """Frame coded as 255 times the square root of the share of the largest number, for even noise."""
     share = frame.float().cpu().numpy() / most
     coded: np.ndarray = (255 * np.sqrt(np.clip(share, 0, 1))).round().astype(np.uint8)
     return coded
 
 
 def _exact(simulation: Simulation, result: Evaluation, wanted: Collection[View]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """What programs ask for: digital numbers, and where the plant knows the truth depth, instances, materials and objects; as the
-    protocol's head has them, and arrays.
+    """Exact contents for programs, head and arrays: digital numbers, and if the plant knows the truth depth, instances, materials and
+    objects.
     """
     head, arrays = dict[str, Any](), dict[str, np.ndarray]()
     if "frames" in wanted:
@@ -182,5 +183,5 @@ def _array(values: Tensor, dtype: Any) -> np.ndarray:
 
 
 def _frames(result: Evaluation) -> tuple[Tensor, ...]:
-    """With all light, and, where controllers hold symbols, without."""
+    """Frames with all light, and, if symbols are held, without them."""
     return result.frames or (() if result.frame is None else (result.frame,))

@@ -1,4 +1,4 @@
-"""What runs are made from, and what a client may open and change: values, not code and not files, unless `--allow-code` was given."""
+"""Sources of runs, and what a client may open and change: values, but no code and no files without `--allow-code`."""
 
 import re
 import time
@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from luxloop.loop.studio.messages import Compare, Open
 from luxloop.world.errors import LuxloopError
@@ -15,39 +15,39 @@ if TYPE_CHECKING:
     from luxloop.loop.recording.replay import Recording
     from luxloop.loop.scenario.model import Scenario
 
-RUNS: Final = Path("runs")  # the folder in which recordings are made and found
-MOST: Final = 200  # recordings to choose from, the newest
-FILES: Final = ("file", "folder", "image", "model", "weights")  # keys that may name one
+RUNS = Path("runs")  # the folder in which recordings are made and found
+MOST = 200  # newest recordings in the choices
+FILES = ("file", "folder", "image", "model", "weights")  # keys that may name a file
 
 
 @dataclass(frozen=True)
 class Source:
-    """What a run is made from: a scenario by name or path, with other values of keys, or the folder of a recording."""
+    """Source of a run: a scenario by name or path with overrides, or the folder of a recording."""
 
     name: str
     overrides: tuple[str, ...] = ()
     recording: Path | None = None
-    apart: tuple[str, ...] = ()  # values by which it differs from the run beside it
+    apart: tuple[str, ...] = ()  # overrides that the run beside it lacks
 
     @property
     def all(self) -> tuple[str, ...]:
-        """All other values of keys."""
+        """All overrides."""
         return (*self.overrides, *self.apart)
 
     @property
     def label(self) -> str:
-        """For the page."""
+        """Label for the page."""
         return " ".join(self.apart) or self.name or str(self.recording)
 
     @property
     def file(self) -> Path | None:
-        """The file of a scenario of somebody's own."""
+        """File of a user's own scenario."""
         from luxloop.loop.scenario.shipped import find, scenario_files
 
         return None if self.recording or self.name in scenario_files() else find(self.name)
 
     def load(self, allow_code: bool) -> tuple["Scenario", "Recording | None"]:
-        """The scenario, and the recording that it comes from. Raises LuxloopError."""
+        """Scenario, and the recording that it comes from. Raises LuxloopError."""
         from luxloop.loop.recording import replay
         from luxloop.loop.scenario.model import load, validate
         from luxloop.loop.scenario.overrides import overridden
@@ -64,7 +64,7 @@ class Source:
 
 @dataclass
 class ScenarioFile:
-    """The file of a scenario that somebody may edit while it runs; path: None of what comes from no file. scenario: read from it last."""
+    """File of a scenario, watched for changes; path: None without a file. scenario: as last loaded."""
 
     path: Path | None = None
     scenario: "Scenario | None" = None
@@ -73,7 +73,7 @@ class ScenarioFile:
         self._stamp = self._now()
 
     def poll(self) -> bool:
-        """Whether it is another file than at the last poll."""
+        """Whether the file has changed since the last poll."""
         before, self._stamp = self._stamp, self._now()
         return self._stamp is not None and self._stamp != before
 
@@ -86,9 +86,9 @@ class ScenarioFile:
 
 
 def open_source(message: Open | Compare, given: Sequence[Source], recordings: Collection[str], allow_code: bool) -> Source:
-    """What a client names: a shipped scenario, a recording in the list that clients get, or what the server was started with.
+    """Source named by a client: a shipped scenario, a listed recording, or a source given to the server.
 
-    Raises LuxloopError for all else.
+    Raises LuxloopError for others.
     """
     from luxloop.loop.scenario.shipped import scenario_files
 
@@ -104,7 +104,7 @@ def open_source(message: Open | Compare, given: Sequence[Source], recordings: Co
 
 
 def refuse_foreign(overrides: Sequence[str]) -> None:
-    """Raises LuxloopError where an override names a file that is not shipped, a module of Python or a plant: the server would open it."""
+    """Raise LuxloopError if an override names an unshipped file, a Python module or a plant."""
     from luxloop.loop.scenario import data
     from luxloop.loop.scenario.overrides import is_file, tables, texts
     from luxloop.loop.scenario.shipped import shipped_files
@@ -125,7 +125,7 @@ def refuse_foreign(overrides: Sequence[str]) -> None:
 
 
 def choices() -> dict[str, Any]:
-    """What a client can choose from, as the protocol has it."""
+    """Choices of a client, as the protocol has them."""
     from luxloop.loop.scenario.listing import listing
     from luxloop.loop.scenario.shipped import shipped_files
     from luxloop.world.lamps.presets import SUMMARIES
@@ -137,7 +137,7 @@ def choices() -> dict[str, Any]:
 
 
 def recordings() -> list[dict[str, str]]:
-    """Folders of recordings in `runs`, the newest first, and what is in them. Those that cannot be read are left out."""
+    """Recordings in `runs`, the newest first, with descriptions; unreadable ones are left out."""
     from luxloop.loop.recording.manifest import MANIFEST, TRAJECTORY
 
     written_s = {each.parent: each.stat().st_mtime for each in RUNS.glob(f"*/{MANIFEST}") if (each.parent / TRAJECTORY).is_file()}

@@ -1,8 +1,8 @@
-"""What one client gets: the newest of everything that it shows, each part only where it has changed since it got that last."""
+"""Messages for one client: its requested contents, each part only after a change."""
 
 import time
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,35 +15,35 @@ from luxloop.loop.studio.snapshot import Snapshot
 from luxloop.world.headlight import Headlight
 from luxloop.world.messages import ArrayBytes, encode, grey, pack, raw
 
-MOST_BACKLOG: Final = 2  # steps of a run that a client may not have shown yet: one on its way, and one that it is at
-PERIOD_S: Final = 0.05  # between two steps of a run that plays, at least
-REST: Final = 20  # times what making messages takes pass until the next ones
-LONGEST_REST_S: Final = 0.3  # however long that took: who drives must see where
-MOST_ROWS: Final = 10_000  # in a message
-FORGOTTEN: Final = "light and pictures of this step are no longer kept: those of the step shown last are drawn; start anew to see them"
-PASSED: Final = "roads and objects of this step that were left long ago are no longer kept"
-HALF_PEAK: Final = 1024.0  # of a module in units of its half floats, far from where these overflow
+MOST_BACKLOG = 2  # sent steps of a run that a client has not shown yet
+PERIOD_S = 0.05  # least interval of a playing run's steps
+REST = 20  # interval of messages as a multiple of the time to make them
+LONGEST_REST_S = 0.3  # longest interval of messages, for driving
+MOST_ROWS = 10_000  # in a message
+FORGOTTEN = "light and pictures of this step are no longer kept: those of the step shown last are drawn; start anew to see them"
+PASSED = "roads and objects of this step that were left long ago are no longer kept"
+HALF_PEAK = 1024.0  # peak of a module in units of its half floats, far below their overflow
 
 
 class Stream:
-    """What a client has got of a session. It is used by one thread at a time, which may be another one each time."""
+    """Messages of a session for a client. Used by one thread at a time, but not always the same."""
 
     def __init__(self) -> None:
         self._number, self._id, self._rests_s = -1, 0, 0.0
         self._sent, self._blocks = list[SentRun](), Blocks()
 
     def close(self) -> None:
-        """The client is gone."""
+        """Release the shared memory."""
         self._blocks.close()
 
     def messages(self, state: SessionState, request: Request) -> Iterator[bytes]:
-        """Those that bring the client up to date. While the session plays, rows and steps come at intervals, so that making them takes a
-        small share of the time.
+        """Messages that update the client. While the session plays, rows and steps come at intervals, so that making them takes a small
+        share of the time.
         """
         resting = state.playing and request.at is None and time.perf_counter() < self._rests_s
         made, spent_s, last = self._newer(state, request, resting), 0.0, self._id
         while True:
-            began_s = time.thread_time()  # which does not grow while another thread computes
+            began_s = time.thread_time()  # excludes the time of other threads
             data = next(made, None)
             spent_s += time.thread_time() - began_s
             if data is None:
@@ -59,7 +59,7 @@ class Stream:
             yield pack(state.scenario)
         for sent in self._sent:
             rows, done = sent.run.rows, len(sent.run.rows)
-            yield from sent.edits()  # which bring all columns that these rows have
+            yield from sent.edits()  # first, since they bring the rows' columns
             if resting:
                 continue
             yield from sent.rows(rows, done)
@@ -71,25 +71,25 @@ class Stream:
 
 
 class SentRun:
-    """What a client has got of one run. ids: of the steps that were sent and, as far as is known, not shown. blocks: the client's."""
+    """Contents of one run that a client has. ids: of the sent steps not known to be shown. blocks: the client's shared memory."""
 
     def __init__(self, number: int, run: Run, blocks: Blocks) -> None:
         self.number, self.run, self._blocks = number, run, blocks
         self.ids = list[int]()
         self._rows, self._rows_of, self._edits, self._meshes = 0, run.rows, 0, set[int]()
         self._step: tuple[Snapshot | None, bool, frozenset[View]] = None, False, frozenset()
-        self._pictured: int | None = None  # step of the camera's picture that was sent last
+        self._pictured: int | None = None  # step of the last sent camera picture
         modules = len(run.simulation.modules)
         self._lights: list[tuple[Headlight, torch.Tensor] | None] = [None] * modules  # as last shown
         self._utilisations: list[torch.Tensor | None] = [None] * modules
 
     def backlog(self, shown: int) -> int:
-        """How many steps are on their way, where the last one with the `id` shown has arrived."""
+        """Number of steps after the last shown one, given by its `id`."""
         self.ids = [each for each in self.ids if each > shown]
         return len(self.ids)
 
     def edits(self) -> Iterator[bytes]:
-        """Those that it was not told of; the newest with what is there now."""
+        """Edits that the client lacks; the newest one has the current model and facts."""
         fresh = self.run.told[self._edits :]
         self._edits += len(fresh)
         for left, edit in zip(range(len(fresh) - 1, -1, -1), fresh, strict=True):
@@ -98,8 +98,8 @@ class SentRun:
             yield pack({"type": "edit", "run": self.number, **edit.model_dump(mode="json"), "model": model, "facts": facts})
 
     def rows(self, rows: list[np.ndarray], done: int) -> Iterator[bytes]:
-        """Values of the steps that it lacks, as far as they are done."""
-        if rows is not self._rows_of:  # those of a recording that is repeated no longer
+        """Values of the steps that the client lacks."""
+        if rows is not self._rows_of:  # replaced at the end of a repetition
             self._rows, self._rows_of = 0, rows
         while fresh := rows[self._rows : min(self._rows + MOST_ROWS, done)]:
             head = {"type": "rows", "run": self.number, "first": self._rows}
@@ -110,7 +110,7 @@ class SentRun:
             yield pack(head, {"rows": encode(values)})
 
     def step(self, number: int, request: Request, id_: int) -> Iterator[bytes]:
-        """A step, and before it the meshes that it lacks; nothing where it has got all that it wants of that step."""
+        """A step, preceded by the meshes that the client lacks; nothing if the client has all of it."""
         scrubbed, wanted, snapshot = request.at is not None, request.wanted, self.run.at(number)
         before, was_scrubbed, had = self._step
         if before is snapshot and was_scrubbed == scrubbed and wanted <= had:
@@ -129,7 +129,7 @@ class SentRun:
         yield self._pack({"id": id_, "scrub": scrubbed, **head, "bodies": bodies, "notes": notes}, snapshot, seen, request)
 
     def _pack(self, head: dict[str, Any], snapshot: Snapshot, seen: Snapshot, request: Request) -> bytes:
-        """The message of a step, whose arrays nobody holds while it waits for the client. seen: the step whose pictures are shown."""
+        """Message of a step, with arrays copied for a slow client. seen: snapshot whose pictures are shown."""
         wanted, notes = request.wanted, head["notes"]
         pictures, plain, windows, scales = dict[str, ArrayBytes](), dict[str, np.ndarray](), dict[str, Any](), []
         for k, peak_cd in enumerate(self.run.peaks_cd):
@@ -160,8 +160,8 @@ class SentRun:
         return pack(head, pictures | sent)
 
     def _lit(self, k: int, u: torch.Tensor, scale_cd: float) -> tuple[list[int], np.ndarray] | None:
-        """The window of a module's light texture that the pixels light which differ from those that it has got, in units of scale_cd, and
-        its first row, last + 1, first column, last + 1; None where it has got all.
+        """Window (first row, end row, first column, end column) of a module's light texture that changed pixels light, and its light in
+        units of scale_cd; None without a change.
         """
         light = self.run.simulation.modules[k].headlight
         before, self._lights[k] = self._lights[k], (light, u)
@@ -177,6 +177,6 @@ class SentRun:
 
 
 def _ends(true: torch.Tensor) -> tuple[int, int]:
-    """The first index that is true of some, and the last + 1."""
+    """First index and end of the true values."""
     found = torch.nonzero(true)[:, 0]
     return int(found[0]), int(found[-1]) + 1

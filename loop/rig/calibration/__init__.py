@@ -1,1 +1,1 @@
-"""Calibration of a rig from what its camera sees of its own light."""
+"""Calibration of a rig's camera, screen and lamp poses from frames of the rig's own light."""

@@ -1,11 +1,11 @@
-"""Calibrate a rig: response, lens, and the relative poses of camera, screen and modules; the result as a file."""
+"""Calibration of a rig: camera response, lens, poses of camera, screen and modules, and the file that holds them."""
 
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from luxloop.loop.rig.arrays import Array
 from luxloop.loop.rig.calibration.digitise import FRAMES, Nominal, Reading, locate_pixels
-from luxloop.loop.rig.calibration.geometry import DISTORTION, ISO, MOST_PX, CameraModel, Geometry, Observation, Pose, adjust
+from luxloop.loop.rig.calibration.geometry import DISTORTION, HALF, ISO, MOST_PX, CameraModel, Geometry, Observation, Pose, adjust
 from luxloop.loop.rig.calibration.intrinsics import Corners, brightness
 from luxloop.loop.rig.calibration.shots import Shots, response_curve
 from luxloop.loop.rig.calibration.structured_light import Places, patterns
@@ -23,17 +23,18 @@ from luxloop.world.arrays import read_npz, write_npz
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import content, reading, whole
 
-FORMAT: Final = "luxloop rig calibration"
-AGAIN: Final = "run `luxloop rig calibrate` again"
-HALF: Final = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV counts from a pixel's centre, we from its corner
-LARGEST_PX: Final = 16384
+FORMAT = "luxloop rig calibration"
+AGAIN = "run `luxloop rig calibrate` again"
+LARGEST_PX = 16384
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """camera: the lens. response: as of `response_curve`. vignetting: `[3]`, as `brightness` takes it. screen: T_camera_screen.
-    modules: T_camera_lamp of each, by name. rms: in px, by what was seen. lux: illuminance of the screen in lx that saturates the camera,
-    None without a luxmeter reading.
+    """Calibration of a rig.
+
+    camera: lens camera. response: see `response_curve`. vignetting: `[3]`, coefficients of `brightness`. screen: T_camera_screen. modules:
+    T_camera_lamp by module name. rms: residuals in px, by measurement. lux: illuminance of the screen in lx that saturates the camera, None
+    without a luxmeter reading.
     """
 
     camera: CameraModel
@@ -45,24 +46,24 @@ class Calibration:
     lux: float | None = None
 
     def geometry(self, module: str) -> Geometry:
-        """The geometry of a module. Raises LuxloopError if it was not calibrated."""
+        """Geometry of camera, screen and one module. Raises LuxloopError if the module was not calibrated."""
         if module not in self.modules:
             known = ", ".join(self.modules)
             raise LuxloopError(f"the calibration knows the modules {known}, not {module!r}; {AGAIN} with this scenario")
         return Geometry(self.camera, self.screen, self.modules[module])
 
 
-OVERRIDES: Final = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg", "hfov_deg")  # keys of the scenario's camera
+OVERRIDES = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg", "hfov_deg")  # keys of the scenario's camera
 
 
 def refuse_name(path: Path) -> None:
-    """Raises LuxloopError if a file's name does not end in .npz."""
+    """Raise LuxloopError if the file name does not end in .npz."""
     if path.suffix != ".npz":
         raise LuxloopError(f"{path}: its name ends in .npz; write for example {path.with_suffix('.npz')}")
 
 
 def save(path: Path, calibration: Calibration) -> None:
-    """Write a calibration atomically. Raises LuxloopError if the name does not end in .npz, or it cannot be written."""
+    """Write a calibration file atomically. Raises LuxloopError if its name does not end in .npz, or on a write error."""
     refuse_name(path)
     camera = calibration.camera
     header = {"format": FORMAT, "version": 1, "modules": list(calibration.modules), "rms_px": calibration.rms}
@@ -86,7 +87,7 @@ def save(path: Path, calibration: Calibration) -> None:
 
 
 def load(path: Path) -> Calibration:
-    """Read a calibration. Raises LuxloopError if the file is missing, damaged, or not a calibration."""
+    """Read a calibration file. Raises LuxloopError if the file is missing, damaged, or no calibration."""
     with reading(path, "no calibration of a rig, or damaged", AGAIN):
         content(path)
         arrays = read_npz(path)
@@ -129,10 +130,10 @@ def _pose(T: Array) -> Pose:
     return Pose.of(T)
 
 
-LADDER: Final = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 0.75, 1.0)  # utilisations, for a camera with one exposure
-AVERAGED: Final = 8  # frames of each rung
-SENSOR_PX: Final = 3  # width and height of a luxmeter's sensor, whose light is the mean over them
-SCREEN: Final = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]]).T  # of a screen ahead: x to the right, y up, z towards the lamp
+LADDER = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 0.75, 1.0)  # utilisations, for a camera with one exposure
+AVERAGED = 8  # frames of each rung
+SENSOR_PX = 3  # width and height of a luxmeter's sensor, whose light is the mean over them
+SCREEN = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]]).T  # of a screen ahead: x to the right, y up, z towards the lamp
 
 
 def _uniform(sizes: Sequence[int], u: float) -> list[Array]:
@@ -140,7 +141,7 @@ def _uniform(sizes: Sequence[int], u: float) -> list[Array]:
 
 
 def measure_response(shots: Shots, sizes: Sequence[int]) -> Array:
-    """The camera's response: from exposure times if it has three or more, else from utilisations, which needs a dark room.
+    """Camera response, from a series of exposure times if the camera has three or more, else from utilisations in a dark room.
 
     sizes: number of pixels of each module. Raises LuxloopError if the frames do not suffice.
     """
@@ -161,11 +162,12 @@ def calibrate_poses(
     lens: tuple[CameraModel, float] | None,
     screen: Corners | float,
 ) -> tuple[Calibration, dict[str, Geometry], dict[str, float]]:
-    """Locate the pixels of all modules, and adjust all poses to them. Returns the calibration, and by module its geometry and the share of
-    its pixels that was located.
+    """Bundle adjustment of all modules to their located pixels. Returns the calibration, and by module name the geometry and the located
+    share of its pixels.
 
-    params: the scenario's camera. lens: of a board, None for the scenario's pinhole camera. screen: the board that lies on it, or the
-    distance in m ahead of the lamps at which it stands square to the x axis. Raises LuxloopError if too few pixels are located.
+    params: the scenario's camera. lens: camera model and rms in px from board views, None for the scenario's pinhole camera. screen:
+    corners of a board lying on the screen, or the distance in m from the lamps to a screen perpendicular to the x axis. Raises LuxloopError
+    if too few pixels are located, or residuals are too large.
     """
     board = screen if isinstance(screen, Corners) else None
     camera = CameraModel.of(params) if lens is None else lens[0]
@@ -201,26 +203,24 @@ def calibrate_poses(
 
 
 def lux_scale(shots: Shots, sizes: Sequence[int], readings: Sequence[Reading], vignetting: Array) -> float:
-    """Illuminance of the screen in lx that saturates the camera at its longest exposure: the mean over readings with all pixels on.
+    """Illuminance of the screen in lx that saturates the camera at its longest exposure; mean over luxmeter readings with all pixels on.
 
     The screen is Lambertian. Raises LuxloopError if the camera sees no light at the position of a reading.
     """
     height, width = shots.setup.shape
-    for each in readings:
-        if not (0 <= each.u <= width and 0 <= each.v <= height):
-            raise LuxloopError(f"--lux: {each.u:g}, {each.v:g} px lies outside of the camera's picture of {width} x {height} px")
+    for _, u, v in readings:
+        if not (0 <= u <= width and 0 <= v <= height):
+            raise LuxloopError(f"--lux: {u:g}, {v:g} px lies outside of the camera's picture of {width} x {height} px")
     on, off = _uniform(sizes, 1.0), _uniform(sizes, 0.0)
     main = shots.exposures("lux_brightest", on)[:1]
     light = shots.light("lux", on, AVERAGED, main) - shots.light("lux_off", off, AVERAGED, main)
     light = (light / brightness(vignetting, height, width)).astype(np.float32)
     found = []
-    for each in readings:
-        there = float(cv2.getRectSubPix(light, (SENSOR_PX, SENSOR_PX), (each.u - 0.5, each.v - 0.5)).mean())
+    for lux, u, v in readings:
+        there = float(cv2.getRectSubPix(light, (SENSOR_PX, SENSOR_PX), (u - 0.5, v - 0.5)).mean())
         if there <= 0:
-            raise LuxloopError(
-                f"the camera sees no light at {each.u:g}, {each.v:g} px; give the place of the luxmeter's sensor in its picture"
-            )
-        found.append(each.lux / there)
+            raise LuxloopError(f"the camera sees no light at {u:g}, {v:g} px; give the place of the luxmeter's sensor in its picture")
+        found.append(lux / there)
     return float(np.mean(found)) / shots.setup.exposures_s[-1]
 
 
@@ -236,7 +236,7 @@ def _places(shots: Shots, nominal: Nominal, sizes: Sequence[int]) -> Places:
 
 
 def _observation(nominal: Nominal, places: Places, board: Corners | None) -> Observation:
-    """Lamp pixels that were found, but for the outermost, and the corners of a board on the screen."""
+    """Image positions of the located lamp pixels without the two outermost rows and columns, and the board corners on the screen."""
     inner = np.isfinite(places.u)
     inner &= np.pad(np.ones([n - 4 if n > 6 else n for n in inner.shape], bool), [(2, 2) if n > 6 else (0, 0) for n in inner.shape])
     row, col = np.argwhere(inner).T + 0.5
@@ -248,7 +248,7 @@ def _observation(nominal: Nominal, places: Places, board: Corners | None) -> Obs
 
 
 def _screen(camera: CameraModel, screen: Corners | float, T_camera_world: Array) -> Pose:
-    """T_camera_screen to begin with. Raises LuxloopError where the board does not tell it."""
+    """Start value of T_camera_screen. Raises LuxloopError if the board does not determine it."""
     if isinstance(screen, Corners):
         points = np.pad(screen.board, ((0, 0), (0, 1)))
         rays = np.ascontiguousarray(camera.rays(*screen.pixels.T)[:, :2])  # as OpenCV takes them
@@ -262,7 +262,7 @@ def _screen(camera: CameraModel, screen: Corners | float, T_camera_world: Array)
 
 
 def overrides(calibration: Calibration, module: LampModule) -> dict[str, float]:
-    """Keys of the scenario's camera with the calibrated values, relative to the scenario's lamp pose. module: of that lamp."""
+    """Scenario keys of the camera with calibrated values, relative to the scenario's pose of the lamp that has this module."""
     T = module.T_body_headlight.double().cpu().numpy() @ np.linalg.inv(calibration.modules[module.name].matrix)
     yaw_deg, pitch_deg, roll_deg = Rotation.from_matrix(T[:3, :3] @ ISO).as_euler("ZYX", degrees=True)
     hfov_deg = 2 * np.degrees(np.arctan(calibration.camera.width / 2 / calibration.camera.matrix[0, 0]))

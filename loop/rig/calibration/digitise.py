@@ -1,9 +1,8 @@
-"""Digitise a lamp: measure its pixels on a screen, one comb after another."""
+"""Measurement of a lamp's pixels on a screen, from combs of distant pixels."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
 
 import numpy as np
 import torch
@@ -18,36 +17,29 @@ from luxloop.loop.rig.calibration.structured_light import Chart, Places, decode,
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
 
-FRAMES: Final = 2  # of each light, whose mean is taken
-LOCATED: Final = 0.5  # share of a lamp's pixels that have to be found
-REFINED: Final = (16, 16)  # one of so many pixels is measured in each round that refines the charts
-DEAD: Final = 0.05  # share of the light of pixels around, below which one is dead
-STUCK: Final = 0.05  # the same of one that shines while all are off
-AROUND: Final = 7  # pixels, whose median that is
-PLACED: Final = 0.2  # pixels: a place without a shift beyond that is used for the charts
-SENSOR_M: Final = 0.01  # diameter of a luxmeter's sensor
-SENSOR_POINTS: Final = 15  # along that
-LINEAR_FROM, SQUARE_FROM = 4, 9  # luxmeter readings, from which on the scale may change over the field
+FRAMES = 2  # frames to average for each light
+LOCATED = 0.5  # least share of a lamp's pixels to locate
+REFINED = (16, 16)  # each round of chart refinement measures one pixel in this many
+DEAD = 0.05  # a pixel below this share of its neighbours' median light is dead
+STUCK = 0.05  # a pixel above this share while all pixels are off is stuck
+AROUND = 7  # pixels along a side of the neighbourhood
+SENSOR_M = 0.01  # diameter of a luxmeter's sensor
+SENSOR_POINTS = 15  # sample points across the sensor
+LINEAR_FROM, SQUARE_FROM = 4, 9  # luxmeter readings for a scale that is linear, quadratic over the picture
 
 
-@dataclass(frozen=True, eq=False)
-class Reading:
-    """A luxmeter's reading on the screen, facing along its normal, with all pixels of all modules on. u, v: position of its sensor in the
-    camera's picture in px.
-    """
-
-    lux: float
-    u: float
-    v: float
+# A luxmeter's illuminance in lx on the screen, facing along its normal, with all pixels of all modules on; position (u, v) of its sensor
+# in the camera's picture in px.
+Reading = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class ModuleMeasurement:
-    """A measured module.
+    """A digitised module.
 
-    light: in cd, or in the camera's unit without a luxmeter reading. geometry: camera, screen and module to each other. measured: of each
-    pixel. u, v: `[rows, cols]` px, where its light is centred. dead, stuck: `[rows, cols]` bool. checked: relative root mean square
-    difference between lights that were not fitted and what the digitised module makes of them, by the light's name.
+    light: in cd, or in the camera's unit without a luxmeter reading. geometry: poses of camera, screen and module. measured: of each pixel.
+    u, v: `[rows, cols]` px, image position of the centre of each pixel's light. dead, stuck: `[rows, cols]` bool. checked: relative rms
+    difference between measured test patterns, which were not fitted, and the digitised module's light, by pattern name.
     """
 
     name: str
@@ -63,7 +55,7 @@ class ModuleMeasurement:
 
 @dataclass(frozen=True, eq=False)
 class Nominal:
-    """Data sheet of a module: its number, name, pixels, and tangents (y, z) `[rows, cols]` of their light."""
+    """Data sheet of a module: its number, name, pixel grid, and tangents (y, z) `[rows, cols]` of each pixel's light."""
 
     number: int
     name: str
@@ -82,16 +74,18 @@ class Nominal:
         return cls(number, name, *shape, (matrix.T @ across / total).reshape(shape), (matrix.T @ up / total).reshape(shape))
 
     def alone(self, sizes: Sequence[int], u: Array) -> list[Array]:
-        """Utilisations of all modules, those of the others 0. sizes: number of pixels of each. u: `[n_p]`, of this one."""
+        """Utilisations of all modules with this module at u `[n_p]` and the others dark. sizes: number of pixels of each module."""
         return [u if k == self.number else np.zeros(n) for k, n in enumerate(sizes)]
 
     def shot(self, what: str) -> str:
-        """Name of frames of this module."""
+        """Name of this module's frames."""
         return f"{self.number}_{what}"
 
 
 def locate_pixels(light: Sequence[Array], noise: float, nominal: Nominal) -> Places:
-    """Locate the pixels in the light `[height, width]` of `patterns`. noise: standard deviation of it. Raises LuxloopError for too few."""
+    """Positions of the pixels from the light `[height, width]` of `patterns`. noise: standard deviation of the light. Raises LuxloopError
+    if too few are located.
+    """
     decoded = decode(light, nominal.rows, nominal.cols, noise)
     if not decoded[2].any():
         raise LuxloopError(f"module {nominal.name!r}: the camera sees none of its pixels; look at lamp, screen, camera and exposure")
@@ -114,9 +108,11 @@ def digitise_module(
     comb_frames: int = 4,
     texels: tuple[int, int] = (4, 2),
 ) -> ModuleMeasurement:
-    """Measure one module, the others dark. sizes: number of pixels of each module. start: camera, screen and the approximate pose of the
-    lamp. factor_of: cd per unit of light at each camera pixel, `[height, width]`. comb_frames: of each comb, whose mean is taken. texels:
-    rows and columns of texels a pixel. Raises LuxloopError as `Shots.exposures`.
+    """Digitise one module while the others are dark.
+
+    sizes: number of pixels of each module. start: camera, screen and approximate lamp pose. factor_of: cd per unit of light at each camera
+    pixel, `[height, width]`. comb_frames: frames to average for each comb. texels: rows and columns of texels per pixel. Raises
+    LuxloopError as `Shots.exposures`.
     """
     name, lit, on = nominal.shot, partial(nominal.alone, sizes), np.ones(nominal.rows * nominal.cols)
     every = shots.exposures(name("brightest"), lit(on))
@@ -155,13 +151,13 @@ def digitise_module(
 
 
 def scale_to_lux(modules: Sequence[ModuleMeasurement], readings: Sequence[Reading]) -> tuple[tuple[ModuleMeasurement, ...], float]:
-    """The modules with intensities in cd by luxmeter readings, and the relative standard deviation of the readings from the result.
+    """Modules scaled to cd by luxmeter readings, and the relative standard deviation of the readings from the scaled light.
 
-    One reading gives the scale. With four readings the scale is linear over the picture, with nine quadratic, to correct errors of the
+    One reading gives a constant scale; four give one that is linear over the picture, nine a quadratic one, which corrects errors of the
     assumed screen.
     """
-    at = np.array([[each.u, each.v] for each in readings])
-    wanted = np.log([each.lux for each in readings])
+    at = np.array(readings)[:, 1:]
+    wanted = np.log([lux for lux, _, _ in readings])
     found = np.log([sum(_lux(module, each) for module in modules) for each in readings])
     shape = modules[0].geometry.camera
     terms = _terms(at, len(readings), (shape.width, shape.height))
@@ -189,17 +185,17 @@ def _terms(at: Array, readings: int, size: tuple[int, int]) -> Array:
 
 
 def _lux(module: ModuleMeasurement, reading: Reading) -> float:
-    """Mean illuminance of the screen over a luxmeter's sensor at a reading's place, with all pixels on."""
-    geometry, screen = module.geometry, module.geometry.screen.rotation
-    points = geometry.on_screen(np.array(reading.u), np.array(reading.v)) + sensor(*screen[:, :2].T)
+    """Mean illuminance in lx over a luxmeter's sensor on the screen, with all pixels on."""
+    (_, u, v), geometry, screen = reading, module.geometry, module.geometry.screen.rotation
+    points = geometry.on_screen(np.array(u), np.array(v)) + sensor(*screen[:, :2].T)
     found = lux(module.light, geometry.lamp.matrix, points, screen[:, 2])
     if found <= 0:
-        raise LuxloopError(f"the lamp gives no light at {reading.u:g}, {reading.v:g} px; give a reading inside its field")
+        raise LuxloopError(f"the lamp gives no light at {u:g}, {v:g} px; give a reading inside its field")
     return found
 
 
 def sensor(across: Array, along: Array) -> Array:
-    """Points `[n, 3]` m of a luxmeter's sensor, from its middle. across, along: unit vectors `[3]` of its plane."""
+    """Sample points `[n, 3]` m of a luxmeter's sensor relative to its centre. across, along: unit vectors `[3]` of its plane."""
     line = np.linspace(-0.5, 0.5, SENSOR_POINTS)
     x, y = (each.ravel() for each in np.meshgrid(line, line))
     disc = np.hypot(x, y) <= 0.5
@@ -207,7 +203,7 @@ def sensor(across: Array, along: Array) -> Array:
 
 
 def lux(light: Headlight, T_lamp: Array, points: Array, normal: Array) -> float:
-    """Mean illuminance in lx at points `[n, 3]` m of a surface, with all pixels of a module on. T_lamp: `[4, 4]`, its pose."""
+    """Mean illuminance in lx at points `[n, 3]` m of a surface, with all pixels of a module on. T_lamp: pose of the module, `[4, 4]`."""
     away = points - T_lamp[:3, 3]
     distance = np.linalg.norm(away, axis=1)
     cos = np.abs(away @ normal) / distance
@@ -216,7 +212,7 @@ def lux(light: Headlight, T_lamp: Array, points: Array, normal: Array) -> float:
 
 
 def _place_lamp(geometry: Geometry, nominal: Nominal, chart: Chart) -> Geometry:
-    """The lamp's pose from where its pixels are seen; the outermost are left out, since their light ends there."""
+    """Lamp pose from the image positions of its pixels without the outermost, whose light ends at the edge of the field."""
     inner = (np.s_[1:-1] if nominal.rows > 2 else np.s_[:], np.s_[1:-1] if nominal.cols > 2 else np.s_[:])
     row, col = (each[inner].ravel() + 0.5 for each in np.indices((nominal.rows, nominal.cols)))
     tangents = np.stack([nominal.y[inner].ravel(), nominal.z[inner].ravel()], -1)
@@ -225,7 +221,7 @@ def _place_lamp(geometry: Geometry, nominal: Nominal, chart: Chart) -> Geometry:
 
 
 def _refine(measured: PixelMeasurements, chart: Chart) -> tuple[Chart, Chart]:
-    """Charts that go through the centres of what was measured of the inner pixels."""
+    """Charts refitted to the measured centres of inner pixels: from lamp to camera, and back."""
     row, col = measured.centres()
     at = np.indices(row.shape) + 0.5
     good = np.isfinite(measured.intensity) & (measured.intensity > DEAD * np.nanmedian(measured.intensity))
@@ -237,7 +233,7 @@ def _refine(measured: PixelMeasurements, chart: Chart) -> tuple[Chart, Chart]:
 
 
 def _faulty(measured: PixelMeasurements, dark_at: Callable[[Indices, Indices], Windows]) -> tuple[Mask, Mask]:
-    """Dead and stuck pixels; the light of a stuck one is there in the dark, and does not change."""
+    """Dead and stuck pixels, `[rows, cols]` bool; a stuck pixel shines in the dark."""
     around = median_filter(measured.intensity, AROUND)
     low = measured.intensity < np.maximum(DEAD * around, 3 * measured.noise)
     r, c = np.nonzero(low)
@@ -251,7 +247,7 @@ def _faulty(measured: PixelMeasurements, dark_at: Callable[[Indices, Indices], W
 
 
 def _difference(module: ModuleMeasurement, seen: Array, u: Array) -> float:
-    """Of what is seen of a light in cd `[height, width]`, and what the digitised module gives there."""
+    """Relative rms difference between measured light in cd `[height, width]` and the digitised module's light at utilisation u."""
     geometry, light = module.geometry, module.light
     v_px, u_px = np.indices(seen.shape) + 0.5
     y, z = geometry.tangents(geometry.on_screen(u_px, v_px))

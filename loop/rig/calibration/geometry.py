@@ -1,12 +1,12 @@
-"""Relative poses of camera, screen and lamp: camera model, plane, and bundle adjustment.
+"""Bundle adjustment of camera, screen and lamp.
 
-The lamp is an inverse camera: each pixel has a direction from the data sheet, and its light appears where this ray meets the screen.
+The lamp is an inverse camera: each pixel has a direction from the data sheet, and its light falls where this ray meets the screen.
 """
 
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, Self
+from typing import Any, Self
 
 import cv2
 import numpy as np
@@ -17,25 +17,27 @@ from luxloop.loop.rig.arrays import Array, Indices
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.world.errors import LuxloopError
 
-DISTORTION: Final = ("k1", "k2", "p1", "p2", "k3")  # OpenCV's, in its order
-ISO: Final = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # OpenCV axes of ISO 8855 vectors
-MOST_PIXELS: Final = 2000  # of a lamp, in the adjustment
-MOST_STEPS: Final = 60  # of a fixed-point iteration that inverts the distortion
-CLOSE: Final = 1e-10  # of tangents
-PLACED_M: Final = 0.1  # standard deviation of the lamp's place to begin with, which decides where its field is narrow
-UNSURE_PX: Final = 0.05  # standard deviation of a place that is given none
-MOST_PX: Final = 3.0  # rms of residuals, above which a calibration has failed
-SIDE: Final = 4  # blocks across a picture, within which residuals are taken to be alike
-TINY: Final = 1e-12  # variance of residuals that are rounding
-UNDETERMINED: Final = 1e-12  # eigenvalue of a normal matrix whose diagonal is 1
-# Standard deviations of what is assumed without a measurement: focal lengths, a screen's turn and its place.
+DISTORTION = ("k1", "k2", "p1", "p2", "k3")  # OpenCV's, in its order
+ISO = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # OpenCV axes of ISO 8855 vectors
+HALF = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # from OpenCV's pixel centres at integers to ours at integer + 0.5
+MOST_PIXELS = 2000  # lamp pixels in the adjustment
+INVERSION = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-10)  # of the distortion: steps, tangents
+PLACED_M = 0.1  # standard deviation of the lamp's start position, which decides for lamps with a narrow field
+UNSURE_PX = 0.05  # standard deviation of an image position
+MOST_PX = 3.0  # rms of residuals, above which a calibration has failed
+SIDE = 4  # blocks across a picture; residuals within a block are correlated
+TINY = 1e-12  # least variance of a residual
+UNDETERMINED = 1e-12  # least eigenvalue of a normal matrix with unit diagonal
+# Standard deviations without a measurement: focal length (relative), angle and position of the screen.
 ASSUMED_FOCAL, ASSUMED_RAD, ASSUMED_M = 0.01, math.radians(0.5), 0.005
 
 
 @dataclass(frozen=True, eq=False)
 class CameraModel:
-    """A lens camera. matrix: `[3, 3]` px, pixel centres at integer + 0.5. distortion: `[5]`, OpenCV's. covariance: `[9, 9]` of fx, fy, cx,
-    cy and distortion; None where they were not measured.
+    """A camera with lens distortion.
+
+    matrix: `[3, 3]` px, pixel centres at integer + 0.5. distortion: `[5]`, OpenCV's coefficients. covariance: `[9, 9]` of fx, fy, cx, cy
+    and distortion; None if the lens was not measured.
     """
 
     width: int
@@ -51,27 +53,19 @@ class CameraModel:
         return cls(view.width, view.height, np.array([[view.fx, 0, view.cx], [0, view.fy, view.cy], [0, 0, 1.0]]))
 
     def rays(self, u: Array, v: Array) -> Array:
-        """Directions `[..., 3]` of camera pixels, at depth 1."""
-        fx, fy, cx, cy, k1, k2, p1, p2, k3 = self.values
-        x0, y0 = (np.asarray(u, float) - cx) / fx, (np.asarray(v, float) - cy) / fy
-        x, y = x0, y0
-        for _ in range(MOST_STEPS):
-            r2 = x * x + y * y
-            bent = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-            before = x
-            x, y = (x0 - 2 * p1 * x * y - p2 * (r2 + 2 * x * x)) / bent, (y0 - p1 * (r2 + 2 * y * y) - 2 * p2 * x * y) / bent
-            if np.abs(x - before).max(initial=0) < CLOSE:
-                break
-        return np.stack([x, y, np.ones_like(x)], -1)
+        """Directions `[..., 3]` of camera pixels in the camera's frame, with z = 1."""
+        pixels = np.stack([u, v], -1).astype(float)
+        tangents = cv2.undistortPoints(pixels.reshape(-1, 1, 2), self.matrix, self.distortion, criteria=INVERSION)
+        return np.asarray(cv2.convertPointsToHomogeneous(tangents), float).reshape(*pixels.shape[:-1], 3)
 
     def project(self, points: Array) -> Array:
-        """Image positions `[n, 2]` px of points `[n, 3]` m."""
+        """Image positions `[n, 2]` px of points `[n, 3]` m in the camera's frame."""
         found = cv2.projectPoints(np.ascontiguousarray(points)[:, None], np.zeros(3), np.zeros(3), self.matrix, self.distortion)
         return np.asarray(found[0][:, 0], float)
 
     @property
     def values(self) -> Array:
-        """fx, fy, cx, cy and distortion, `[9]`."""
+        """fx, fy, cx, cy and the distortion, `[9]`."""
         return np.array([self.matrix[0, 0], self.matrix[1, 1], self.matrix[0, 2], self.matrix[1, 2], *self.distortion])
 
     def with_values(self, values: Array) -> Self:
@@ -81,7 +75,7 @@ class CameraModel:
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Pose of one frame in another: turn `[3]` as a rotation vector in rad, and position `[3]` of the origin in m."""
+    """Pose of one frame in another: rotation vector `[3]` in rad, and position `[3]` of the origin in m."""
 
     turn: Array
     place: Array
@@ -92,14 +86,14 @@ class Pose:
 
     @property
     def matrix(self) -> Array:
-        """`[4, 4]`."""
+        """Homogeneous matrix `[4, 4]`."""
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = self.rotation, self.place
         return T
 
     @property
     def values(self) -> Array:
-        """Turn and place, `[6]`."""
+        """Rotation vector and position, `[6]`."""
         return np.concatenate([self.turn, self.place])
 
     @property
@@ -112,10 +106,10 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """Observations of a screen at one pose.
+    """Measured image positions of lamp pixels and board corners on a screen.
 
-    tangents: `[n, 2]`, y and z of the directions of lamp pixels by their data sheet; pixels: `[n, 2]` px, where they are seen. board:
-    `[k, 2]` m, corners of a board on the screen, corners: `[k, 2]` px; both empty without one.
+    tangents: `[n, 2]`, y and z of the lamp pixels' directions by data sheet. pixels: `[n, 2]` px, their image positions. board: `[k, 2]` m,
+    corners of a board on the screen. corners: `[k, 2]` px, their image positions. Both are empty without a board.
     """
 
     tangents: Array
@@ -126,9 +120,10 @@ class Observation:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """camera: with what the adjustment made of it. screen: T_camera_screen; the screen is its plane z = 0. lamp: T_camera_lamp, whose frame
-    is OpenCV's for the camera and ISO 8855 for the lamp. std: standard deviations by name (`covariance_of`), with those of what was
-    assumed. rms: root mean squares in px of the residuals of lamp pixels and of board corners.
+    """Adjusted geometry of camera, screen and lamp.
+
+    screen: T_camera_screen; the screen is its plane z = 0. lamp: T_camera_lamp; axes are OpenCV's for the camera, ISO 8855 for the lamp.
+    std: standard deviations by name, assumptions included (`covariance_of`). rms: of the residuals of lamp pixels and board corners, in px.
     """
 
     camera: CameraModel
@@ -138,26 +133,27 @@ class Geometry:
     rms: Mapping[str, float] = field(default_factory=dict)
 
     def on_screen(self, u: Array, v: Array) -> Array:
-        """Points `[..., 3]` m on the screen at camera pixels, in the camera's frame."""
+        """Points `[..., 3]` m of the screen at camera pixels, in the camera's frame."""
         return on_plane(self.camera.rays(u, v), np.zeros(3), self.screen)
 
     def tangents(self, points: Array) -> tuple[Array, Array]:
-        """Tangents y and z at which the lamp sees points `[..., 3]` m."""
+        """Tangents (y, z) of the lamp's rays to points `[..., 3]` m in the camera's frame."""
         x, y, z = np.moveaxis((points - self.lamp.place) @ self.lamp.rotation, -1, 0)
         return y / x, z / x
 
 
 def on_plane(rays: Array, origin: Array, screen: Pose) -> Array:
-    """Intersections of rays `[..., 3]` from an origin `[3]` with the plane z = 0 of a screen, `[..., 3]` m in the camera's frame."""
+    """Intersections `[..., 3]` m of rays `[..., 3]` from an origin `[3]` with the plane z = 0 of a screen, in the camera's frame."""
     normal = screen.rotation[:, 2]
     return origin + rays * (normal @ (screen.place - origin) / (rays @ normal))[..., None]
 
 
 def adjust(camera: CameraModel, screen: Pose, lamp: Pose, seen: Observation, fix_camera: bool = False) -> Geometry:
-    """Bundle adjustment: camera, screen and lamp, from start values.
+    """Bundle adjustment of camera, screen and lamp from start values.
 
-    The lamp's start position has a standard deviation of 0.1 m. The camera is constrained by its covariance; without one, or with
-    `fix_camera`, it is fixed, and so is a screen without a board. The scale of the lamp's field cannot be separated from its distance.
+    The start position of the lamp has a standard deviation of 0.1 m. The camera is constrained by its covariance; without a covariance, or
+    with `fix_camera`, the camera is fixed, and so is a screen without a board. The scale of the lamp's field cannot be separated from the
+    lamp's distance.
     """
     some = slice(None, None, max(1, len(seen.tangents) // MOST_PIXELS))
     seen = replace(seen, tangents=seen.tangents[some], pixels=seen.pixels[some])
@@ -198,7 +194,7 @@ def adjust(camera: CameraModel, screen: Pose, lamp: Pose, seen: Observation, fix
 
 
 def _residuals(camera: CameraModel, screen: Pose, lamp: Pose, seen: Observation) -> tuple[Array, Array]:
-    """Of lamp pixels `[n, 2]` and of board corners `[k, 2]` in px."""
+    """Residuals of lamp pixels `[n, 2]` and of board corners `[k, 2]` in px."""
     rays = np.insert(seen.tangents, 0, 1, 1) @ lamp.rotation.T
     pixels = camera.project(on_plane(rays, lamp.place, screen)) - seen.pixels
     board = screen.points(np.pad(seen.board, ((0, 0), (0, 1))))
@@ -206,7 +202,7 @@ def _residuals(camera: CameraModel, screen: Pose, lamp: Pose, seen: Observation)
 
 
 def _perturbations(camera: CameraModel, screen: Pose, lens: bool, plane: bool) -> Iterator[tuple[CameraModel, Pose]]:
-    """Camera and screen with one assumption after the other off by its standard deviation. lens, plane: whether they are assumed."""
+    """Camera and screen with one assumption at a time off by its standard deviation. lens, plane: whether lens and screen are assumed."""
     if lens:
         yield camera.with_values(camera.values * np.where(np.arange(9) < 2, 1 + ASSUMED_FOCAL, 1)), screen
     for axis in np.eye(3) if plane else ():
@@ -216,7 +212,7 @@ def _perturbations(camera: CameraModel, screen: Pose, lens: bool, plane: bool) -
 
 
 def blocks(pixels: Array) -> Indices:
-    """Number of the block of 4 x 4 over their extent in which points `[n, 2]` lie."""
+    """Number of the block, of 4 x 4 over the points' extent, that contains each of the points `[n, 2]`."""
     if not len(pixels):
         return np.zeros(0, np.intp)
     at = SIDE * (pixels - pixels.min(0)) / np.maximum(np.ptp(pixels, axis=0), TINY)
@@ -225,17 +221,17 @@ def blocks(pixels: Array) -> Indices:
 
 
 def group_residuals(jacobian: Array, residuals: Array, groups: Indices) -> tuple[Array, Array]:
-    """Normal matrices `[g, p, p]` and gradients `[g, p]` by groups of residuals `[n]`. jacobian: `[n, p]`. groups: `[n]`, their numbers."""
+    """Normal matrices `[g, p, p]` and gradients `[g, p]` of groups of residuals `[n]`. jacobian: `[n, p]`. groups: group numbers, `[n]`."""
     parts = [(jacobian[groups == k], residuals[groups == k]) for k in np.unique(groups)]
     return np.stack([J.T @ J for J, _ in parts]), np.stack([J.T @ r for J, r in parts])
 
 
 def covariance_of(normals: Array, gradients: Array, variance: float, prior: Array | float = 0.0) -> Array:
-    """Covariance `[p, p]` of values from a least-squares fit whose residuals are alike within groups, such as the views of a board.
+    """Covariance `[p, p]` of a least-squares fit whose residuals are correlated within groups, such as the views of a board.
 
-    normals, gradients: as of `group_residuals`. variance: of a residual. prior: `[p, p]`, the inverse covariance of prior knowledge. The
-    standard deviations are those of independent residuals, or those of the jackknife where they are larger: by how much the values change
-    where a group is left out (Efron 1982). Values that are not determined have very large ones.
+    normals, gradients: as of `group_residuals`. variance: of a residual. prior: `[p, p]`, inverse covariance of prior knowledge. Standard
+    deviations are the larger of those of independent residuals and those of the jackknife, which leaves out one group at a time (Efron
+    1982). Undetermined values have very large ones.
     """
     variance = max(variance, TINY)
     total = normals.sum(0) / variance + prior
@@ -253,20 +249,20 @@ def covariance_of(normals: Array, gradients: Array, variance: float, prior: Arra
 
 
 def rms_of(residuals: Array) -> float:
-    """Root mean square length of residuals `[n, 2]`; NaN of none."""
+    """Rms length of residuals `[n, 2]`; NaN if there are none."""
     return float(np.sqrt((residuals**2).sum(-1).mean())) if len(residuals) else float("nan")
 
 
 def _root(covariance: Array) -> Array:
-    """A matrix whose product with its transpose is the covariance."""
+    """Square root of a covariance: its product with its own transpose is the covariance."""
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(np.maximum(values, 1e-24))
 
 
 def candela_factor(geometry: Geometry, shape: tuple[int, int], reflectance: Callable[[Array], Array]) -> Array:
-    """cd of the lamp per cd/m^2 at each camera pixel, `[height, width]`: `I = pi L d^2 / (rho cos)` (T eq. 2.1.5).
+    """Luminous intensity of the lamp in cd per cd/m^2 at each camera pixel, `[height, width]`: `I = pi L d^2 / (rho cos)` (T eq. 2.1.5).
 
-    shape: rows and columns of the picture. reflectance: luminance factor of the screen at the cosine of the angle of view. Raises
+    shape: rows and columns of the picture. reflectance: luminance factor of the screen by the cosine of the angle of view. Raises
     LuxloopError if the camera sees the back of the screen.
     """
     v, u = np.indices(shape) + 0.5

@@ -1,9 +1,9 @@
-"""Intrinsic calibration: lens from views of a ChArUco board, and vignetting from frames of an evenly bright surface."""
+"""Intrinsic calibration: lens from views of a ChArUco board, vignetting from frames of an evenly bright surface."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,24 +11,24 @@ from PIL import Image as Picture
 from pydantic import Field
 
 from luxloop.loop.rig.arrays import Array, Image, Indices
-from luxloop.loop.rig.calibration.geometry import MOST_PX, CameraModel, Pose, covariance_of, rms_of
+from luxloop.loop.rig.calibration.geometry import HALF, MOST_PX, CameraModel, Pose, covariance_of, rms_of
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import whole
 from luxloop.world.params import Params
 
-PAPERS: Final = {"a4": (210.0, 297.0), "a3": (297.0, 420.0), "letter": (215.9, 279.4)}  # mm
-DPI: Final = 300
-INCH_MM: Final = 25.4
-MARGIN_MM: Final = 10.0  # that printers leave white
-MARKER: Final = 0.75  # of a square's side
-FEWEST_CORNERS: Final = 6  # corners of a view
-LEAST_CONTRAST: Final = 0.02  # of the darkest part of a picture to the brightest, relative to that
-THIN: Final = 0.5  # squares, second singular value of corners that lie in a line, but for one
-SCALES: Final = (1, 2)  # of the picture: a far board's markers have too few pixels a bit in the first
+PAPERS = {"a4": (210.0, 297.0), "a3": (297.0, 420.0), "letter": (215.9, 279.4)}  # mm
+DPI = 300
+INCH_MM = 25.4
+MARGIN_MM = 10.0  # unprintable border of a page
+MARKER = 0.75  # side of a marker as a share of a square's
+FEWEST_CORNERS = 6  # corners of a view
+LEAST_CONTRAST = 0.02  # brightest less darkest part of a picture, as a share of the brightest
+THIN = 0.5  # squares, second singular value of corners that lie in one line, but for one corner
+SCALES = (1, 2)  # enlargements of the picture; markers of a distant board have too few pixels per bit without
 
 
 class BoardParams(Params):
-    """Squares of a ChArUco board with markers of 5 x 5 bits."""
+    """A ChArUco board with markers of 5 x 5 bits."""
 
     columns: int = Field(8, ge=3, le=30, description="squares in a row")
     rows: int = Field(11, ge=3, le=30, description="squares in a column")
@@ -37,8 +37,9 @@ class BoardParams(Params):
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """The detected corners of a board. board: `[n, 2]` m on the board. pixels: `[n, 2]` px, pixel centres at integer + 0.5. name: of the
-    picture.
+    """Detected corners of a board.
+
+    board: `[n, 2]` m on the board. pixels: `[n, 2]` px in the picture, pixel centres at integer + 0.5. name: of the picture.
     """
 
     board: Array
@@ -53,14 +54,14 @@ def _board(params: BoardParams) -> Any:
 
 
 def picture(params: BoardParams, dpi: float) -> Image:
-    """A picture of the board without margin, grey `[height, width]`. dpi: approximate resolution in px per inch."""
+    """Drawing of the board without margin, grey `[height, width]`. dpi: approximate resolution in px per inch."""
     px = round(params.square_mm / INCH_MM * dpi)
     drawn: Image = _board(params).generateImage((px * params.columns, px * params.rows), marginSize=0, borderBits=1)
     return drawn
 
 
 def print_board(path: Path, params: BoardParams, paper: str) -> None:
-    """Write a page, .pdf or .png, with the board in its middle, to scale if printed at 100 %.
+    """Write a page, .pdf or .png, with the board in its middle, true to scale if printed at 100 %.
 
     Raises LuxloopError if the board is larger than the paper.
     """
@@ -85,8 +86,8 @@ def print_board(path: Path, params: BoardParams, paper: str) -> None:
 
 
 def corners(frame: Image, params: BoardParams, name: str = "a view") -> Corners | str:
-    """The corners detected in a frame `[height, width]`, or why it cannot be used: too little contrast, no marker of the board, fewer
-    than six corners, or corners in a line. Boards of OpenCV before 4.6 with an even number of rows are read as well.
+    """Board corners detected in a frame `[height, width]`, or the reason why there are none: too little contrast, no marker of the board,
+    fewer than six corners, or corners in one line. Boards of OpenCV before 4.6 with an even number of rows are detected as well.
     """
     low, peak = (float(each) for each in np.percentile(frame, (0.5, 99.5)))
     if peak - low <= LEAST_CONTRAST * peak:
@@ -94,10 +95,10 @@ def corners(frame: Image, params: BoardParams, name: str = "a view") -> Corners 
     grey = np.clip((frame.astype(float) - low) * (255 / (peak - low)), 0, 255).astype(np.uint8)
     board = _board(params)
     places = board.getChessboardCorners()[:, :2].astype(float)
-    found, ids, markers = max((_detect(grey, board, scale) for scale in SCALES), key=_count)
+    found, ids, markers = _best(grey, board)
     if len(ids) < FEWEST_CORNERS:
         board.setLegacyPattern(True)
-        found, ids, markers = max(((found, ids, markers), *(_detect(grey, board, scale) for scale in SCALES)), key=_count)
+        found, ids, markers = max((found, ids, markers), _best(grey, board), key=lambda each: (len(each[1]), each[2]))
     if not markers:
         return "shows no marker of the board; check that it is one of `luxloop rig board`, sharpness and light"
     if len(ids) < FEWEST_CORNERS:
@@ -115,9 +116,14 @@ def corners(frame: Image, params: BoardParams, name: str = "a view") -> Corners 
     return Corners(at, sharp.reshape(-1, 2).astype(float) + 0.5, name)
 
 
+def _best(grey: Image, board: Any) -> tuple[Array, Indices, int]:
+    """The detection with most corners over all enlargements."""
+    return max((_detect(grey, board, scale) for scale in SCALES), key=lambda each: (len(each[1]), each[2]))
+
+
 def _detect(grey: Image, board: Any, scale: int) -> tuple[Array, Indices, int]:
-    """Corners `[n, 1, 2]` px, from the centre of the first pixel, their numbers `[n]`, and the number of markers, seen in a picture that
-    many times as large.
+    """Corners `[n, 1, 2]` px relative to the first pixel's centre, their numbers `[n]`, and the number of markers, detected in the enlarged
+    picture.
     """
     large = grey if scale == 1 else cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
     found, ids, markers, _ = cv2.aruco.CharucoDetector(board).detectBoard(large)
@@ -126,27 +132,19 @@ def _detect(grey: Image, board: Any, scale: int) -> tuple[Array, Indices, int]:
     return (np.asarray(found, float) + 0.5) / scale - 0.5, np.asarray(ids, np.intp).ravel(), len(markers)
 
 
-def _count(found: tuple[Array, Indices, int]) -> tuple[int, int]:
-    return len(found[1]), found[2]
-
-
-FEWEST_VIEWS: Final = 5  # views
-LARGEST_STD: Final = 0.03  # standard deviation, relative to focal length and picture, of a lens that is determined
-TILTED: Final = 0.94  # foreshortening of a board in the picture that counts as tilted, by 20 deg; the lens adds some
-SLANTED: Final = 0.38  # component of a direction that counts as one to that side: 22.5 deg
-CORNER: Final = 0.3  # share of the picture's width and height that is its corner
-PLACES: Final = {"top left": (0, 0), "top right": (1, 0), "bottom left": (0, 1), "bottom right": (1, 1)}
-_CENTRED: Final = cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_ZERO_TANGENT_DIST
-# From few unknowns to all: with all at once, the long lens of a barrel distortion ends in another minimum.
-STAGES: Final = (_CENTRED | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2, _CENTRED | cv2.CALIB_FIX_K2, _CENTRED, 0)
-PRECISE: Final = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 500, 1e-14)  # focal length and distance converge slowly together
+FEWEST_VIEWS = 5
+LARGEST_STD = 0.03  # of a determined lens, relative to focal length and picture size
+ADD = "add sharp views with the board large, in each corner of the picture, and tilted by 20 to 45 deg to each side"
+_CENTRED = cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_ZERO_TANGENT_DIST
+# Unknowns are freed one by one: all at once, a long lens with barrel distortion ends in another minimum.
+STAGES = (_CENTRED | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2, _CENTRED | cv2.CALIB_FIX_K2, _CENTRED, 0)
+PRECISE = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 500, 1e-14)  # focal length and distance converge slowly
 
 
 def lens(views: Sequence[Corners], width: int, height: int) -> tuple[CameraModel, float]:
-    """Focal lengths, principal point and distortion by least squares of corners, with their covariance, and the root mean square of the
-    residuals in px.
+    """Lens camera from views of a board by least squares, with its covariance, and the rms of the residuals in px.
 
-    Raises LuxloopError for fewer than five views, if one does not fit the others, or if they do not determine the lens.
+    Raises LuxloopError for fewer than five views, if one does not fit the others, or if the views do not determine the lens.
     """
     if len(views) < FEWEST_VIEWS:
         raise LuxloopError(
@@ -165,9 +163,8 @@ def lens(views: Sequence[Corners], width: int, height: int) -> tuple[CameraModel
             _, matrix, distortion, turns, moves, *_ = found
             guess = cv2.CALIB_USE_INTRINSIC_GUESS
     except cv2.error as error:
-        raise LuxloopError(f"the {len(views)} views do not determine the lens ({error.err}); {_missing(views, width, height)}") from error
-    matrix = matrix + np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-    camera = CameraModel(width, height, matrix, np.ravel(distortion)[:5])
+        raise LuxloopError(f"the {len(views)} views do not determine the lens ({error.err}); {ADD}") from error
+    camera = CameraModel(width, height, matrix + HALF, np.ravel(distortion)[:5])
     poses = [Pose(np.ravel(turn), np.ravel(move)) for turn, move in zip(turns, moves, strict=True)]
     left = [camera.project(pose.points(each)) - view.pixels for pose, each, view in zip(poses, points, views, strict=True)]
     rms = [rms_of(each) for each in left]
@@ -175,7 +172,7 @@ def lens(views: Sequence[Corners], width: int, height: int) -> tuple[CameraModel
     std, limit = np.sqrt(np.diag(covariance))[:4], LARGEST_STD * np.array([*np.abs(camera.values[:2]), width, height])
     if not (std < limit).all():
         told = ", ".join(f"{name} {a:.4g} ± {b:.2g}" for name, a, b in zip(("fx", "fy", "cx", "cy"), camera.values, std, strict=False))
-        raise LuxloopError(f"the {len(views)} views do not determine the lens ({told} px); {_missing(views, width, height)}")
+        raise LuxloopError(f"the {len(views)} views do not determine the lens ({told} px); {ADD}")
     worst = int(np.argmax(rms))
     if not rms[worst] < MOST_PX:
         raise LuxloopError(
@@ -185,28 +182,8 @@ def lens(views: Sequence[Corners], width: int, height: int) -> tuple[CameraModel
     return replace(camera, covariance=covariance), float(np.sqrt(np.mean(np.square(rms))))
 
 
-def _missing(views: Sequence[Corners], width: int, height: int) -> str:
-    """What views to add: the sides of the board that are tilted away in none, and the corners of the picture that none reaches."""
-    sides = dict.fromkeys(("left", "right", "top", "bottom"), False)
-    for view in views:
-        H, _ = cv2.findHomography(view.board - view.board.mean(0), view.pixels)
-        if H is None:
-            continue
-        J = (H[:2, :2] - np.outer(H[:2, 2], H[2, :2]) / H[2, 2]) / H[2, 2]  # of the picture by the board, at its middle
-        long, short = np.linalg.svd(J, compute_uv=False)
-        if short < TILTED * long:
-            x, y = J @ H[2, :2] * np.sign(H[2, 2]) / np.linalg.norm(J @ H[2, :2])  # to where the board is farther away
-            sides = {name: sides[name] or part > SLANTED for name, part in zip(sides, (-x, x, -y, y), strict=True)}
-    corners = np.concatenate([view.pixels for view in views]) / (width, height)
-    no_side = [name for name, there in sides.items() if not there]
-    no_place = [name for name, place in PLACES.items() if not (np.abs(corners - place) < CORNER).all(1).any()]
-    add = [f"with the {', '.join(no_side)} of the board tilted away by 20 to 45 deg"] * bool(no_side)
-    add += [f"with the board in the {', '.join(no_place)} of the picture"] * bool(no_place)
-    return f"add views {', and '.join(add) or 'tilted by 20 to 45 deg to all sides, sharp, and large in the picture'}"
-
-
 def _covariance(camera: CameraModel, poses: Sequence[Pose], points: Sequence[Array], left: Sequence[Array]) -> Array:
-    """Of fx, fy, cx, cy and the distortion `[9, 9]`, all poses being unknown as well; residuals are alike within a view."""
+    """Covariance `[9, 9]` of fx, fy, cx, cy and distortion with unknown poses; residuals are correlated within a view."""
     normals, gradients = [], []
     for pose, each, off in zip(poses, points, left, strict=True):
         _, by = cv2.projectPoints(each.astype(float), pose.turn, pose.place, camera.matrix, camera.distortion)
@@ -220,9 +197,9 @@ def _covariance(camera: CameraModel, poses: Sequence[Pose], points: Sequence[Arr
 
 
 def vignetting(flats: Sequence[Array]) -> tuple[Array, float]:
-    """Vignetting of the lens from light `[height, width]` of evenly bright surfaces, such as a diffuser in front of it.
+    """Vignetting of the lens from the linear light `[height, width]` of evenly bright surfaces, such as a diffuser in front of the lens.
 
-    Returns coefficients `[3]` of r^2, r^4 and r^6, r being 1 in the corner, and the relative root mean square that they leave.
+    Returns coefficients `[3]` of r^2, r^4 and r^6, r being 1 in the corner, and the relative rms of the residuals.
     """
     rows, right = [], []
     for flat in flats:
@@ -241,12 +218,12 @@ def vignetting(flats: Sequence[Array]) -> tuple[Array, float]:
 
 
 def radius(height: int, width: int) -> Array:
-    """Distance of each pixel from the image's centre, 1 in the corners."""
+    """Distance of each pixel from the image centre, `[height, width]`, 1 in the corners."""
     v, u = np.indices((height, width)) + 0.5
     return np.asarray(np.hypot(u - width / 2, v - height / 2) / np.hypot(width / 2, height / 2))
 
 
 def brightness(coefficients: Array, height: int, width: int) -> Array:
-    """Share of the light that reaches each pixel, `[height, width]`, 1 in the centre."""
+    """Transmission of the lens at each pixel by vignetting, `[height, width]`, 1 in the centre."""
     r2 = radius(height, width) ** 2
     return np.asarray(1 + r2 * (coefficients[0] + r2 * (coefficients[1] + r2 * coefficients[2])))

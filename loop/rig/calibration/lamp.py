@@ -1,10 +1,9 @@
-"""A measured lamp: from intensities, shapes and places to a sparse headlight matrix over a light texture."""
+"""The headlight matrix of a digitised lamp: intensities, shapes and positions of its pixels on a light texture."""
 
 import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,17 +21,14 @@ from luxloop.world.headlight.lamp import Lamp
 from luxloop.world.spmv import Csr
 from luxloop.world.texels import TexelGrid
 
-LEAST: Final = 3e-3  # share of a pixel's peak, below which its light is left out
-MARGIN: Final = math.ceil(REACH - 0.5)  # pixels beyond the outermost, whose light may reach there
-NEAR: Final = 0.25  # pixels, by which a shape reaches further where its pixel is shifted
-AT_ONCE: Final = 64  # rows of texels
+LEAST = 3e-3  # light below this share of a pixel's peak is left out
+MARGIN = math.ceil(REACH - 0.5)  # reach in pixels of light beyond the outermost pixels
+NEAR = 0.25  # additional reach in pixels of a shifted pixel's shape
+AT_ONCE = 64  # rows of texels computed together
 
 
 def grid_over(y: Array, z: Array, texels: tuple[int, int]) -> TexelGrid:
-    """Grid of a light texture over tangents y and z `[rows, cols]` of the pixels, extended by the reach of a pixel's light.
-
-    So light of the outermost pixels that is blurred beyond the field is kept.
-    """
+    """Grid of a light texture over pixel tangents y and z `[rows, cols]`, extended by the reach of the outermost pixels' blurred light."""
     rows, cols = y.shape
     margin_y, margin_z = ((0.5 + MARGIN) * float(np.ptp(each)) / max(n - 1, 1) for each, n in ((y, cols), (z, rows)))
     return TexelGrid(
@@ -46,7 +42,7 @@ def grid_over(y: Array, z: Array, texels: tuple[int, int]) -> TexelGrid:
 
 
 def headlight(name: str, grid: TexelGrid, measured: PixelMeasurements, lamp_of: Chart) -> Headlight:
-    """The headlight matrix of a measured module in cd. lamp_of: from tangents (y, z) to lamp coordinates (row, column)."""
+    """Headlight matrix of a digitised module in cd. lamp_of: from tangents (y, z) to lamp coordinates (row, column)."""
     rows, cols = measured.intensity.shape
     block_of = [np.searchsorted(borders(n), np.arange(n), "right") - 1 for n in (rows, cols)]
     y, z = (each.numpy() for each in grid.tangents(torch.float64, torch.device("cpu")))
@@ -76,7 +72,7 @@ def headlight(name: str, grid: TexelGrid, measured: PixelMeasurements, lamp_of: 
 
 
 def _read(shapes: Array, block: tuple[Array, Array], dr: Array, dc: Array) -> Array:
-    """Shapes of blocks `[n]` at distances `[n]` from their centres in lamp pixels, bilinear between texels and zero beyond."""
+    """Shapes of blocks `[n]` at offsets `[n]` from the pixel centre in lamp pixels, bilinear between texels, zero outside."""
     n_r, n_c = shapes.shape[2:]
     r, c = (dr + REACH) * (n_r / (2 * REACH)) - 0.5, (dc + REACH) * (n_c / (2 * REACH)) - 0.5
     total = np.zeros(len(r))
@@ -85,15 +81,14 @@ def _read(shapes: Array, block: tuple[Array, Array], dr: Array, dc: Array) -> Ar
     return total
 
 
-def digitised_side(scenario: Scenario) -> str:
-    """The only lit side. Raises LuxloopError if both are lit, since a lamp file has one lamp."""
+def refuse_both_sides(scenario: Scenario) -> None:
+    """Raise LuxloopError if both sides are lit, since a lamp file has one lamp."""
     if len(scenario.headlight.lamps) > 1:
         raise LuxloopError("a lamp file holds one lamp; digitise each by itself, with --set 'headlight.lamps=[\"left\"]'")
-    return scenario.headlight.lamps[0]
 
 
 def lamp_of(scenario: Scenario, lights: Sequence[Headlight], name: str, notes: str) -> Lamp:
-    """The scenario's lamp with measured lights, one per lit module, as a left lamp, the kind that lamp files have."""
+    """The scenario's lamp with digitised modules, one per lit module, as the left lamp that lamp files describe."""
     mounts = mount(scenario.headlight)
     lamp = mounts[0].lamp
     modules = list(lamp.modules)

@@ -1,9 +1,9 @@
-"""Pictures of a rig: of a digitised lamp with the facts of its pixels, and of frames and beams beside simulated ones."""
+"""Pictures and figures of a digitised lamp, and comparisons of a rig's frames and beams with simulated ones."""
 
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -19,15 +19,15 @@ from luxloop.world.arrays import write_npz
 from luxloop.world.files import whole
 from luxloop.world.headlight import Headlight
 
-SHOWN: Final = 2.5  # standard deviations from the median, which colours span
-LISTED: Final = 200  # faulty pixels in the facts
+SHOWN = 2.5  # range of the colours: standard deviations from the median
+LISTED = 200  # faulty pixels in the facts
 TWIN_IN, BEAM_IN, DPI = 13.0, 8.0, 130
-BAR: Final = 0.04  # height of the scale, of a frame's
-BRIGHT: Final = 0.998  # quantile of both images that is shown as white, and of their difference that has the full colour
+BAR = 0.04  # height of the colour scale as a share of a frame's
+BRIGHT = 0.998  # quantile of both images drawn white, and of their difference drawn in full colour
 
 
 def facts(module: ModuleMeasurement) -> dict[str, Any]:
-    """Facts of one module. Lengths in m, angles as rotation vectors in deg, values of pixels as shares or in pixels."""
+    """Figures of one module: lengths in m, rotation vectors in deg, pixel values as shares or in pixels."""
     measured, geometry = module.measured, module.geometry
     good = ~(module.dead | module.stuck)
     intensity = measured.intensity[good]
@@ -93,10 +93,9 @@ def _overview(modules: Sequence[ModuleMeasurement]) -> Figure:
 
 
 def draw_twin(file: Path, rig: Array, simulated: Array, figures: Mapping[str, Any]) -> None:
-    """Draw twin.png: a rig's frame, the simulated one, and their difference. rig, simulated: digital numbers `[height, width]`. figures:
-    their row of twin.parquet.
+    """Draw twin.png: a rig's frame, the simulated frame, and their difference.
 
-    Raises LuxloopError if the file cannot be written.
+    rig, simulated: digital numbers `[height, width]`. figures: row of twin.parquet. Raises LuxloopError if the file cannot be written.
     """
     height, width = rig.shape
     with rc_context(STYLE), whole(file) as part:
@@ -113,10 +112,10 @@ def draw_twin(file: Path, rig: Array, simulated: Array, figures: Mapping[str, An
 
 
 def draw_beam(file: Path, digitised: Tensor, headlight: Headlight, utilisation: Tensor) -> None:
-    """Draw beam.png: a digitised light texture, the simulated one of utilisation `[n_p]`, and their difference. digitised: `[rows, cols]`
-    in cd, or `[3, rows, cols]` in linear sRGB.
+    """Draw beam.png: a digitised light texture, the simulated one, and their difference.
 
-    Raises LuxloopError if the file cannot be written.
+    digitised: `[rows, cols]` in cd, or `[3, rows, cols]` in linear sRGB. utilisation: `[n_p]`, of the simulated one. Raises LuxloopError if
+    the file cannot be written.
     """
     simulated = headlight.light_texture(utilisation).cpu().numpy()
     seen, intensity = digitised.cpu().numpy(), luminous(digitised).cpu().numpy()
@@ -133,7 +132,7 @@ def draw_beam(file: Path, digitised: Tensor, headlight: Headlight, utilisation: 
 
 
 def _difference(panels: Sequence[Axes], images: Sequence[Array], pair: Sequence[Array], titles: Sequence[str], aspect: Any = None) -> Any:
-    """Draw two images on one scale and the difference of a pair of values, whose image is returned for its scale of colours."""
+    """Draw two images on one scale and the difference of two arrays; returns the difference's image, for a colour scale."""
     white = max(float(np.quantile(np.stack(pair), BRIGHT)), 1.0)
     difference = pair[0] - pair[1]
     most = max(float(np.quantile(np.abs(difference), BRIGHT)), 1.0)

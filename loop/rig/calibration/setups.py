@@ -1,4 +1,4 @@
-"""Measuring setups, which show a light and return frames of it: that of a scenario's simulated world, and that of a rig."""
+"""Measuring setups that show a light and return frames of it: a scenario's simulated world, or a rig."""
 
 import itertools
 import time
@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -29,18 +29,17 @@ from luxloop.world.light.illumination import Transport
 
 Lens = Callable[[Array, Array], tuple[Array, Array]]
 
-BAND: Final = 256  # rows of the fine picture that are rendered at once
-SAMPLES: Final = 4  # a camera pixel's width and height, at which the fine picture is read
+BAND = 256  # rows of the fine picture rendered at once
+SAMPLES = 4  # samples of the fine picture along each side of a camera pixel
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedSetup:
-    """The simulated world of a scenario before a camera at rest, with the light transport from lamp pixels to camera pixels in one sparse
-    matrix per module.
+    """A scenario's simulated world and a camera at rest; one sparse matrix per module maps lamp pixels to camera pixels.
 
-    exposures_s: exposure times that the camera can be set to, ascending; a single one where it is locked. transports: `[height * width,
-    n_p]`, cd/m^2 at full utilisation. base: `[height, width]` cd/m^2 of other light. optics: what the lens adds to a luminance image, such
-    as blur. seed: of the noise.
+    transports: `[height * width, n_p]`, cd/m^2 at full utilisation. base: `[height, width]` cd/m^2 of other light. seed: of the noise.
+    exposures_s: available exposure times, ascending; one if the camera is locked. optics: effect of the lens on a luminance image, such as
+    blur.
     """
 
     transports: tuple[sp.csr_array, ...]
@@ -60,9 +59,9 @@ class SimulatedSetup:
         return 2**self.camera.bits - 1
 
     def frames(self, lights: Sequence[Array], count: int, exposure_s: float, name: str = "") -> Image:
-        """Digital numbers `[count, height, width]` of frames in the light of these utilisations alone, one `[n_p]` in 0..1 per module.
+        """Digital numbers `[count, height, width]` of frames. lights: utilisations `[n_p]` in 0..1 of each module.
 
-        name: of the measurement; noise depends on it, so that a measurement that is resumed gets the same.
+        name: of the measurement. The noise depends on it, so that a resumed measurement gets the same noise.
         """
         luminance = self.base.copy()
         for transport, u in zip(self.transports, lights, strict=True):
@@ -76,10 +75,10 @@ class SimulatedSetup:
 
 
 def simulated_setup(scenario: Scenario, modules: Sequence[LampModule], lens: Lens | None = None, fine: int = 2) -> SimulatedSetup:
-    """The setup of a scenario's world.
+    """Setup of a scenario's world.
 
-    lens: from positions `[n]` px (u, v) in the camera to those in a pinhole camera's image of the same size; None for a pinhole camera.
-    fine: rendered pixels per camera pixel along a side. Raises LuxloopError if something in the world moves.
+    lens: from positions `[n]` px (u, v) in the camera's picture to those in a pinhole camera's picture of the same size; None for a pinhole
+    camera. fine: rendered pixels along a side of a camera pixel. Raises LuxloopError if something in the world moves.
     """
     plant = simulated_plant(scenario, modules)
     camera = plant.world.camera
@@ -101,7 +100,7 @@ def simulated_setup(scenario: Scenario, modules: Sequence[LampModule], lens: Len
 
 
 def _spread(transport: Any, n: int) -> sp.csr_matrix:
-    """The transport's matrix with a row for each pixel of its picture."""
+    """Transport matrix with a row for each of the picture's n pixels."""
     assert isinstance(transport, Transport)
     index = transport.index.numpy()
     rows = sp.csr_matrix((np.ones(len(index), np.float32), (index, np.arange(len(index)))), shape=(n, len(index)))
@@ -109,7 +108,7 @@ def _spread(transport: Any, n: int) -> sp.csr_matrix:
 
 
 def _resample(camera: CameraParams, finer: CameraParams, lens: Lens | None) -> sp.csr_matrix:
-    """From the fine picture to the camera's: the mean of samples over each pixel's area, each read bilinearly."""
+    """Matrix from the fine picture to the camera's: mean of bilinear samples over each pixel's area."""
     ratio = finer.width_px / camera.width_px
     v, u = (each.ravel() for each in np.indices((camera.height_px, camera.width_px)))
     total = sp.csr_matrix((v.size, finer.width_px * finer.height_px), dtype=np.float32)
@@ -131,21 +130,19 @@ def _bilinear(x: Array, y: Array, width: int, height: int) -> sp.csr_matrix:
 
 
 def neighbours(row: Array, col: Array, shape: tuple[int, int]) -> Iterator[tuple[Indices, Indices, Array, Mask]]:
-    """Row and column of each of the four neighbours of places `[n]` in a raster of rows x columns, its bilinear weight, and whether it lies
-    inside.
-    """
+    """The four neighbours of positions `[n]` in a raster, in turn: row, column, bilinear weight, and whether the neighbour is inside."""
     r0, c0 = np.floor(row).astype(int), np.floor(col).astype(int)
     for i, j in itertools.product((0, 1), (0, 1)):
         r, c = r0 + i, c0 + j
         yield r, c, np.abs(1 - i - (row - r0)) * np.abs(1 - j - (col - c0)), (r >= 0) & (r < shape[0]) & (c >= 0) & (c < shape[1])
 
 
-TRIES: Final = 20  # of one frame, or of light that a limit slows down
+TRIES = 20  # exposures for one frame, and for light that the rate limit delays
 
 
 @dataclass(frozen=True, eq=False)
 class RigSetup:
-    """An open, armed rig. Its camera has one exposure time, which is unknown and set to 1 s, since it cancels out."""
+    """An open, armed rig as a setup. The camera's only exposure time is unknown and set to 1 s, since it cancels out."""
 
     rig: Rig
     grids: Grids
@@ -155,7 +152,7 @@ class RigSetup:
     exposures_s: tuple[float, ...] = (1.0,)
 
     def frames(self, lights: Sequence[Array], count: int, exposure_s: float, name: str = "") -> Image:
-        """As `SimulatedSetup.frames`. Raises LuxloopError if a limit dims the light, or frames do not arrive."""
+        """Frames as of `SimulatedSetup.frames`. Raises LuxloopError if a limit dims the light, or frames do not arrive."""
         pictures = tuple(u.reshape(grid).astype(np.float32) for u, grid in zip(lights, self.grids, strict=True))
         found: list[Image] = []
         for _ in range(TRIES * count):
@@ -185,7 +182,9 @@ Setup = SimulatedSetup | RigSetup
 
 @contextmanager
 def rig_setup(file: Path, params: RigParams, grids: Grids, ready: Callable[[Rig], None]) -> Iterator[RigSetup]:
-    """Open an armed rig. ready: waits until it is ready. Raises LuxloopError if a device cannot be opened, or no picture arrives."""
+    """Open an armed rig as a setup. ready: waits for lamp and camera. Raises LuxloopError if a device cannot be opened, or no picture
+    arrives.
+    """
     if params.mark is not None:
         raise LuxloopError(f"{file}: mark: lies in the light that is to be measured; take it out to calibrate")
     with locate(str(file)), open_rig(params, grids, None, armed=True) as rig:

@@ -1,16 +1,15 @@
-"""Shape, intensity and place of each pixel's light, from combs of distant pixels that are lit together.
+"""Shape, intensity and position of each pixel's light, from combs of distant pixels that are lit together.
 
-Around pixel j a camera pixel sees `a_j sum_k S_k w_k + b_j`: S is the light distribution on the lamp's texels, the same for all pixels of a
-block, w how much of each texel's tent lies in the camera pixel, a_j the pixel's intensity and b_j what the lens scatters. S is found over
-a block by least squares, with a weak penalty on its roughness, as the camera resolves texels only over many pixels that fall on its raster
-in different ways (the effective point spread function of Anderson and King, 2000). The shift of each pixel follows by least squares in its
-window alone, and a_j from the sum of the light there, on which the shape has no influence.
+Around pixel j a camera pixel measures `a_j sum_k S_k w_k + b_j`. S is the light distribution on the lamp's texels, common to all pixels of
+a block, w_k the overlap of texel k's tent with the camera pixel, a_j the pixel's intensity and b_j light scattered by the lens. S is
+estimated over a block by least squares with a weak penalty on its roughness, since the camera resolves texels only over many pixels with
+different subpixel positions (the effective point spread function of Anderson and King, 2000). Least squares in each pixel's window give its
+shift; the sum of the light in the window gives a_j, independently of the shape.
 """
 
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from scipy.ndimage import uniform_filter
@@ -19,13 +18,13 @@ from luxloop.loop.rig.arrays import Array, Indices, Mask
 from luxloop.loop.rig.calibration.setups import neighbours
 from luxloop.loop.rig.calibration.structured_light import Chart
 
-SPACING: Final = 5  # pixels between those of a comb, in either direction: the light of a pixel reaches REACH
-REACH: Final = 1.5  # pixels from its centre, to all sides
-SUBSAMPLES: Final = 3  # points over a camera pixel's width and height, at which a shape is read
+SPACING = 5  # pixels from one lit pixel of a comb to the next, in rows and columns; more than 2 * REACH
+REACH = 1.5  # extent of a pixel's light from its centre, in pixels along rows and columns
+SUBSAMPLES = 3  # samples of a shape along each side of a camera pixel
 
 
 def combs(rows: int, cols: int) -> Iterator[tuple[str, Array]]:
-    """Names and utilisations `[n_p]` of combs, which together light each pixel once."""
+    """Names and utilisations `[n_p]` of the combs; each pixel is lit in one of them."""
     for i, j in np.ndindex(SPACING, SPACING):
         u = np.zeros((rows, cols))
         u[i::SPACING, j::SPACING] = 1
@@ -34,10 +33,11 @@ def combs(rows: int, cols: int) -> Iterator[tuple[str, Array]]:
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """The picture around n lit pixels, m camera pixels around each.
+    """Parts of the pictures around n lit pixels, m camera pixels each.
 
-    seen: `[n, m]`. inside: `[n, m]` bool, camera pixels that are in the image and nearer to this pixel than to others of its comb. dr, dc:
-    `[n, m, s]`, places of points of each camera pixel, in lamp pixels from this one's centre. area: `[n]`, lamp pixels a camera pixel.
+    seen: light `[n, m]`. inside: `[n, m]` bool, camera pixels within the picture and nearer to this pixel than to others of its comb. dr,
+    dc: `[n, m, s]`, positions of sample points of each camera pixel relative to the pixel's centre, in lamp pixels. area: `[n]`, lamp
+    pixels per camera pixel.
     """
 
     seen: Array
@@ -48,12 +48,12 @@ class Windows:
 
     @property
     def reach(self) -> Array:
-        """Distance `[n, m]` of camera pixels from the pixel's centre in lamp pixels, the larger of both directions."""
+        """Distance `[n, m]` of camera pixels from the pixel's centre in lamp pixels, the larger of rows and columns."""
         return np.maximum(np.abs(self.dr.mean(-1)), np.abs(self.dc.mean(-1)))
 
 
 def windows(images: Array, chart: Chart, lamp_of: Chart, row: Indices, col: Indices) -> Windows:
-    """The windows of pixels at row and col `[n]`, whole numbers.
+    """Windows of the pixels at row and col `[n]`, integers.
 
     images: `[SPACING^2, height, width]`, of the combs. chart, lamp_of: as of `Places`.
     """
@@ -77,29 +77,29 @@ def windows(images: Array, chart: Chart, lamp_of: Chart, row: Indices, col: Indi
 
 
 def _halves(jacobian: Array, reach: float) -> tuple[int, int]:
-    """Camera pixels to either side of a lamp pixel's centre, in u and in v, that are nearer to it than `reach` along rows or columns."""
+    """Half width and height in camera pixels of a window that extends `reach` lamp pixels along rows and columns."""
     by_lamp = np.linalg.inv(np.moveaxis(jacobian, -1, 0))  # [n, 2, 2], camera pixels a lamp pixel
     u, v = (reach * np.abs(by_lamp).sum(-1)).max(0)
     return int(np.ceil(u + 0.5)), int(np.ceil(v + 0.5))
 
 
-BLOCK: Final = 16  # pixels along a side that have one shape, together with the blocks around them
-ROUGHNESS: Final = 1e-3  # weight of the second differences, relative to the mean of the normal matrix' diagonal
-WINGS: Final = 3e-3  # weight of light beyond a pixel from the centre, which camera pixels can hardly tell from what is scattered
-BEYOND: Final = 1.7  # pixels from the centre, where a first background is taken
-SHAPED: Final = 3  # one of so many pixels of a block is looked at for its shape
-FEWEST: Final = 24  # pixels of a block that are measured at least
-SHIFT: Final = 0.05  # pixels, by which those of a lamp stray: shifts are drawn to zero where they are less certain
+BLOCK = 16  # pixels along a side of a block, which has one shape
+ROUGHNESS = 1e-3  # weight of the second differences, relative to the mean of the normal matrix' diagonal
+WINGS = 3e-3  # penalty on light beyond a pixel from the centre, which is hardly distinct from scattered light
+BEYOND = 1.7  # pixels from the centre from which on light is background
+SHAPED = 3  # one of this many pixels of a block is fitted for its shape
+FEWEST = 24  # least number of pixels measured in a block
+SHIFT = 0.05  # prior standard deviation of a pixel's shift, in pixels
 
 
 @dataclass(frozen=True, eq=False)
 class PixelMeasurements:
-    """What was found of a module's pixels, all `[rows, cols]`.
+    """Measured pixels of a module, all `[rows, cols]`.
 
-    intensity: relative to the shapes, in the unit of the images. background: beside the pixel. shift_row, shift_col: of its light from
-    where the charts have it, in lamp pixels. noise: standard deviation of intensity, from the residuals. residual: root mean square of
-    what the model leaves of the window, relative to the peak of the pixel.
-    shapes: `[block rows, block cols, 2 * REACH * t_r, 2 * REACH * t_c]`, whose sum is the number of a pixel's texels.
+    intensity: relative to the shapes, in the unit of the images. background: light beside the pixel. shift_row, shift_col: of the light
+    from the position by the charts, in lamp pixels. noise: standard deviation of intensity, from the residuals. residual: rms residual of
+    the window relative to the pixel's peak. shapes: `[block rows, block cols, 2 * REACH * t_r, 2 * REACH * t_c]`; each sums to the number
+    of texels per pixel.
     """
 
     intensity: Array
@@ -111,7 +111,7 @@ class PixelMeasurements:
     shapes: Array
 
     def centres(self) -> tuple[Array, Array]:
-        """Where the light of each pixel is centred, in lamp coordinates of the charts, both `[rows, cols]`."""
+        """Centres of each pixel's light in lamp coordinates of the charts: rows and columns, both `[rows, cols]`."""
         rows, cols = self.intensity.shape
         row, col = np.indices((rows, cols)) + 0.5
         total = self.shapes.sum((2, 3))
@@ -124,13 +124,15 @@ class PixelMeasurements:
 
 
 def borders(n: int) -> list[int]:
-    """Where the blocks along n pixels begin, and the end: the outermost pixel by itself, whose light may end at the field's border."""
+    """First pixels of the blocks along n pixels, and n. The outermost pixel is a block of its own, since its light may end at the field's
+    border.
+    """
     inner = np.linspace(1, n - 1, 1 + max(1, round((n - 2) / BLOCK))).astype(int).tolist() if n > 2 else [1][: n - 1]
     return list(dict.fromkeys([0, *inner, n]))
 
 
 def blocks(rows: int, cols: int) -> Iterator[tuple[tuple[int, int], Indices, Indices]]:
-    """Number of each block of rows x cols pixels, and rows and columns `[n]` of its pixels."""
+    """Index (i, j) of each block of rows x cols pixels, and rows and columns `[n]` of its pixels."""
     for (i, down), (j, across) in itertools.product(*(enumerate(itertools.pairwise(borders(n))) for n in (rows, cols))):
         r, c = np.mgrid[slice(*down), slice(*across)]
         yield (i, j), r.ravel(), c.ravel()
@@ -139,8 +141,10 @@ def blocks(rows: int, cols: int) -> Iterator[tuple[tuple[int, int], Indices, Ind
 def measure(
     window_of: Callable[[Indices, Indices], Windows], rows: int, cols: int, texels: tuple[int, int], every: int = 1
 ) -> PixelMeasurements:
-    """Fit shapes, to some pixels of each block, then pixels. window_of: windows of pixels at rows and columns `[n]`. texels: rows and
-    columns of texels a pixel. every: measures one of so many pixels of a block, the others are NaN.
+    """Fit the shapes of blocks to some of their pixels, then intensity and shift of pixels.
+
+    window_of: windows of pixels at rows and columns `[n]`. texels: rows and columns of texels per pixel. every: one of this many pixels of
+    a block is measured, the others are NaN.
     """
     shape = round(2 * REACH * texels[0]), round(2 * REACH * texels[1])
     count, k = [len(borders(n)) - 1 for n in (rows, cols)], shape[0] * shape[1]
@@ -161,13 +165,13 @@ def measure(
 
 
 def _some(n: int, every: int) -> Indices:
-    """One of so many of a block's n pixels, but enough of them, drawn at random so that they lie in all ways to its rows and columns."""
+    """Random subset of a block's n pixels: one of `every`, at least FEWEST."""
     count = n if every == 1 else min(n, max(n // every, FEWEST))
     return np.sort(np.random.default_rng(n).permutation(n)[:count])
 
 
 def _weights(at: Windows, texels: tuple[int, int], shape: tuple[int, int]) -> Array:
-    """Share of each texel's tent in each camera pixel, `[n, m, k]` float32."""
+    """Overlap of each texel's tent with each camera pixel, `[n, m, k]` float32."""
     n, m, s = at.dr.shape
     base = np.arange(n * m).repeat(s) * (shape[0] * shape[1])
     total = np.zeros(n * m * shape[0] * shape[1], np.float32)
@@ -178,7 +182,7 @@ def _weights(at: Windows, texels: tuple[int, int], shape: tuple[int, int]) -> Ar
 
 
 def _normal(at: Windows, weights: Array) -> tuple[Array, Array]:
-    """Normal equations `[k, k]`, `[k]` of a block's shape, each pixel scaled to a sum of one."""
+    """Normal equations `[k, k]`, `[k]` of a block's shape, with each pixel's light scaled to a sum of one."""
     flux, background = _flux(at)
     good = flux > 0.2 * np.median(flux)
     light = np.where(at.inside, (at.seen - background[:, None]) / np.where(good, flux, 1)[:, None], 0)[good]
@@ -187,9 +191,9 @@ def _normal(at: Windows, weights: Array) -> tuple[Array, Array]:
 
 
 def _flux(at: Windows) -> tuple[Array, Array]:
-    """Light of each pixel over its area, and what is beside it, both `[n]`.
+    """Light of each pixel integrated over lamp pixels, and background beside it, both `[n]`.
 
-    The sum over whole camera pixels depends neither on how the pixel falls on their raster nor on its shape.
+    The sum over whole camera pixels depends neither on the subpixel position nor on the shape.
     """
     core, beside = at.inside & (at.reach <= BEYOND), at.inside & (at.reach > BEYOND)
     background = (at.seen * beside).sum(1) / np.maximum(beside.sum(1), 1)
@@ -197,7 +201,7 @@ def _flux(at: Windows) -> tuple[Array, Array]:
 
 
 def _solve(normal: Array, right: Array, shape: tuple[int, int]) -> Array:
-    """Shapes `[block rows, block cols, *shape]`, of each block with those around it, of mean one over the pixel's own texels."""
+    """Shapes `[block rows, block cols, *shape]`, each from a block and its neighbours, with mean one over the pixel's own texels."""
     around = normal.shape[:2]
     normal, right = _neighbour_means(normal), _neighbour_means(right)
     lines = [_second(n) for n in shape]
@@ -213,7 +217,7 @@ def _solve(normal: Array, right: Array, shape: tuple[int, int]) -> Array:
 
 
 def _neighbour_means(values: Array) -> Array:
-    """Means over the blocks around each, those of the edges among themselves."""
+    """Means over each block and its neighbours; blocks at the edges are averaged among themselves."""
     values = values.copy()
     rows, cols = values.shape[:2]
     parts = ([slice(0, 1), slice(1, n - 1), slice(n - 1, n)] if n > 2 else [slice(k, k + 1) for k in range(n)] for n in (rows, cols))
@@ -223,15 +227,15 @@ def _neighbour_means(values: Array) -> Array:
 
 
 def _second(n: int) -> Array:
-    """Sum of squared second differences as a matrix `[n, n]`; beyond the ends is zero."""
+    """Matrix `[n, n]` of the sum of squared second differences, with zeros beyond the ends."""
     d = np.diff(np.pad(np.eye(n), ((1, 1), (0, 0))), 2, axis=0)
     return d.T @ d
 
 
 def _fit_pixels(at: Windows, weights: Array, shape: Array, texels: tuple[int, int]) -> Array:
-    """Intensity, background, shifts, noise and residual of a block's pixels `[6, n]`."""
+    """Intensity, background, shifts (rows, columns), noise and residual of a block's pixels, `[6, n]`."""
     slope_r, slope_c = (np.gradient(shape, 1 / t, axis=axis) for axis, t in enumerate(texels))
-    parts = weights @ np.stack([shape, -slope_r, -slope_c], -1).reshape(-1, 3)  # a light that lies further down is the shape at less
+    parts = weights @ np.stack([shape, -slope_r, -slope_c], -1).reshape(-1, 3)  # a shift subtracts the slope
     design = np.concatenate([parts, np.ones_like(parts[..., :1])], -1) * at.inside[..., None]  # [n, m, 4]
     seen = at.seen * at.inside
     normal = design.transpose(0, 2, 1) @ design

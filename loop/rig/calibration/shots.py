@@ -1,11 +1,10 @@
-"""Frames of named lights, and the camera's response, by which they are read as light."""
+"""Frames of named lights, and the camera response that linearises them."""
 
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Final
 
 import cv2
 import numpy as np
@@ -19,10 +18,10 @@ from luxloop.world.files import content, reading, whole
 from luxloop.world.headlight.matrix import LUMINANCE
 from luxloop.world.images import decode
 
-KNOTS: Final = 32
-RESPONSE_PIXELS: Final = 400  # camera pixels
-SMOOTH: Final = 10.0  # weight of the curve's second difference beside one reading
-USED: Final = (0.02, 0.98)  # of the range of digital numbers
+KNOTS = 32
+RESPONSE_PIXELS = 400  # camera pixels for the fit
+SMOOTH = 10.0  # weight of the curve's second difference relative to a reading
+USED = (0.02, 0.98)  # range of digital numbers for the fit, as shares of the full range
 
 
 def linear_response(levels: int, black: float = 0.0) -> Array:
@@ -31,11 +30,10 @@ def linear_response(levels: int, black: float = 0.0) -> Array:
 
 
 def response_curve(frames: Sequence[Image], ratios: Sequence[float], levels: int) -> Array:
-    """The response `[levels + 1]` float32, light at each digital number, 0 at black and 1 at the largest, from
-    frames `[height, width]` of the same scene at lights that are in known ratios, by exposure time or by utilisation.
+    """Camera response `[levels + 1]` float32: light by digital number, 0 at black and 1 at the largest.
 
-    frames[k] has `ratios[k]` times the light of ratio 1, without other light; one of ratio 0, where there is one, gives the black level.
-    Raises LuxloopError if the frames do not suffice.
+    frames: `[height, width]` each, of one scene at lights in known ratios, by exposure time or utilisation. frames[k] has `ratios[k]` times
+    the light of ratio 1, without other light; a frame of ratio 0 gives the black level. Raises LuxloopError if the frames do not suffice.
     """
     order = np.argsort(ratios)
     stack, by = np.stack([frames[k] for k in order]).astype(float), np.array([ratios[k] for k in order], float)
@@ -64,16 +62,16 @@ def response_curve(frames: Sequence[Image], ratios: Sequence[float], levels: int
 
 
 def _solve(codes: Array, good: Mask, log_by: Array, knots: Array) -> Array:
-    """Logarithm of the light at knots `[n]`: `g(z) = ln L_i + ln t_k` by least squares.
+    """Logarithm of the light at knots `[n]`, from `g(z) = ln L_i + ln t_k` by least squares.
 
-    codes: logarithms of digital numbers over black, in which any power is a straight line, and g is one between knots.
+    codes: logarithms of digital numbers above black, in which a gamma response is a straight line; g is linear between knots.
     """
     k, i = np.nonzero(good)
     z = codes[k, i]
     left = ((z - knots[0]) / (knots[1] - knots[0])).astype(int).clip(0, len(knots) - 2)
     share = (z - knots[left]) / (knots[1] - knots[0])
     n, rows = len(knots), np.arange(len(z))
-    weight = np.exp(0.5 * (z - knots[-1]))  # as the noise of light has it
+    weight = np.exp(0.5 * (z - knots[-1]))  # shot noise
     design = np.zeros((len(z) + n - 1, n + codes.shape[1]))
     design[rows, left], design[rows, left + 1] = weight * (1 - share), weight * share
     design[rows, n + i] = -weight
@@ -85,18 +83,18 @@ def _solve(codes: Array, good: Mask, log_by: Array, knots: Array) -> Array:
     return np.asarray(solved[:n])
 
 
-NOTE: Final = "setup.json"
-SATURATED: Final = 0.98  # of the largest digital number
-MOST_SATURATED: Final = 1e-4  # share of a frame's pixels, reflexes say
-LONGER: Final = 4.0  # of exposures that are taken besides, for dim pixels
+NOTE = "setup.json"
+SATURATED = 0.98  # of the largest digital number
+MOST_SATURATED = 1e-4  # accepted share of saturated pixels in a frame, for reflexes
+LONGER = 4.0  # largest ratio of the second exposure, for dim pixels, to the first
 
 
 @dataclass(frozen=True, eq=False)
 class Shots:
-    """Frames of lights on a setup, each taken once.
+    """Frames of lights on a setup, taken once and stored.
 
-    response: as of `response_curve`. folder: of the pictures, `NAME-EXPOSURE-NUMBER.png`; None keeps none. what: identifies lamp, camera
-    and plan, so that frames of others are refused. dark: light `[height, width]` without the lamp, which is subtracted from all.
+    response: as of `response_curve`. folder: of the pictures, `NAME-EXPOSURE-NUMBER.png`; None stores none. what: identifies lamp, camera
+    and plan, so that frames of others are refused.
     """
 
     setup: Setup
@@ -122,7 +120,7 @@ class Shots:
             part.write_text(json.dumps(note), "utf-8")
 
     def frames(self, name: str, lights: Sequence[Array], count: int, exposure_s: float) -> Image:
-        """Digital numbers `[count, height, width]` of a light, from the folder if it has them."""
+        """Digital numbers `[count, height, width]` of a light, read from the folder if it has them."""
         paths = [] if self.folder is None else [self.folder / f"{name}-{1e6 * exposure_s:.0f}us-{k}.png" for k in range(count)]
         if paths and all(path.is_file() for path in paths):
             return np.stack([self._read(path) for path in paths])
@@ -133,9 +131,9 @@ class Shots:
         return frames
 
     def light(self, name: str, lights: Sequence[Array], count: int, exposures_s: Sequence[float]) -> Array:
-        """Mean light `[height, width]` float32 of a few frames at each exposure time, in units of the response at one second.
+        """Mean light `[height, width]` float32 of frames at each exposure time, in units of the response at one second.
 
-        A pixel counts in proportion to the exposure, and not where it is saturated in all frames but those of the shortest.
+        A pixel is weighted by the exposure time. Saturated pixels count only at the shortest exposure.
         """
         total, weight = np.zeros(self.setup.shape), np.zeros(self.setup.shape)
         for k, exposure_s in enumerate(sorted(exposures_s)):
@@ -146,7 +144,7 @@ class Shots:
         return (total / weight).astype(np.float32)
 
     def exposures(self, name: str, lights: Sequence[Array]) -> tuple[float, ...]:
-        """The longest exposure at which a light does not saturate the camera, and a longer one if the camera has it.
+        """The longest exposure time in s at which a light does not saturate the camera, and a longer one if the camera has it.
 
         Raises LuxloopError if none is short enough.
         """
@@ -169,7 +167,7 @@ class Shots:
 
 
 def plan_digest(*parts: object) -> str:
-    """Digest that identifies a plan of measurement, equal for equal parts."""
+    """Digest of a measurement plan; equal parts give equal digests."""
     return sha256(json.dumps(parts, default=str, sort_keys=True).encode()).hexdigest()[:16]
 
 

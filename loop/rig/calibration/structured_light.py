@@ -1,13 +1,13 @@
-"""Structured light: Gray codes and phase steps along the rows and columns of a lamp's pixels, read at each camera pixel.
+"""Structured light: Gray codes and phase steps along rows and columns of a lamp's pixels, decoded at each camera pixel.
 
 A cosine with a period of `PERIOD` pixels is shifted in `STEPS` steps; its phase is the position within a period. Gray codes of half a
-period number the periods. Both are compared with the mean of the phase steps at the same camera pixel. Local regression gives the places of
-lamp pixels in the camera, and Chebyshev polynomials a smooth map between both planes.
+period number the periods. Both are compared with the mean of the phase steps at the same camera pixel. Local regression gives the positions
+of lamp pixels in the camera's picture, and Chebyshev polynomials a smooth map between both planes.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -15,24 +15,24 @@ from scipy.ndimage import maximum_filter, uniform_filter
 
 from luxloop.loop.rig.arrays import Array, Mask
 
-PERIOD: Final = 16  # pixels
-STEPS: Final = 8
-CELL: Final = PERIOD // 2  # pixels of one Gray code
-LEAST_CONTRAST: Final = 0.1  # amplitude of the cosine over its mean
-AROUND: Final = 7  # camera pixels, over which the brightest is looked for
-LEAST_LIGHT: Final = 0.5  # share of that: the edge of the outermost pixels lies where their light has fallen to a half
-NOISES: Final = 6.0  # amplitude of the cosine over its noise: a wrong period is then as rare as five standard deviations
+PERIOD = 16  # pixels
+STEPS = 8
+CELL = PERIOD // 2  # pixels per Gray code
+LEAST_CONTRAST = 0.1  # amplitude of the cosine over its mean
+AROUND = 7  # camera pixels along a side of the window of the local maximum
+LEAST_LIGHT = 0.5  # share of the local maximum; light falls to half at the edge of the outermost pixels
+NOISES = 6.0  # least amplitude of the cosine over its noise; wrong periods are then as rare as five standard deviations
 
 
 def patterns(rows: int, cols: int) -> list[tuple[str, Array]]:
-    """Names and utilisations `[n_p]` of all lights that locate the pixels of a module of rows x cols pixels, the first one dark."""
+    """Names and utilisations `[n_p]` of the patterns for a module of rows x cols pixels; the first one is dark."""
     found = [("dark", np.zeros(rows * cols))]
     found += [(f"row_{name}", np.repeat(line, cols)) for name, line in _lines(rows)]
     return [*found, *((f"column_{name}", np.tile(line, rows)) for name, line in _lines(cols))]
 
 
 def _lines(n: int) -> Iterator[tuple[str, Array]]:
-    """Utilisations `[n]` along one axis: the phase steps, then the bits of the Gray code, the highest first."""
+    """Names and utilisations `[n]` of the patterns along one axis: phase steps, then bits of the Gray code, the highest first."""
     place = np.arange(n) + 0.5
     for k in range(STEPS):
         yield f"phase_{k}", 0.5 + 0.5 * np.cos(2 * np.pi * (place / PERIOD - k / STEPS))
@@ -44,15 +44,15 @@ def _lines(n: int) -> Iterator[tuple[str, Array]]:
 
 def bits(n: int) -> int:
     """Bits of the Gray code of n pixels."""
-    return max(int(np.ceil(np.log2(-(-n // CELL)))), 0)
+    return ((n - 1) // CELL).bit_length()
 
 
 def decode(light: Sequence[Array], rows: int, cols: int, noise: float) -> tuple[Array, Array, Mask]:
-    """Lamp coordinates at each camera pixel, row and column `[height, width]`, and where they could be read; lamp pixel (r, c) has its
-    centre at (r + 0.5, c + 0.5). light: frames of `patterns`, `[height, width]` each in a linear unit. noise: standard deviation of one.
+    """Lamp coordinates (row, column) `[height, width]` at each camera pixel, and where they are valid.
 
-    Where the light of several pixels overlaps, the position is their weighted mean. Nothing is read beyond the outer edges of the field,
-    where only the outermost pixels' light arrives.
+    Lamp pixel (r, c) has its centre at (r + 0.5, c + 0.5). light: frames of `patterns`, `[height, width]` each in a linear unit. noise:
+    standard deviation of a frame. Where the light of several pixels overlaps, the position is their weighted mean. Camera pixels beyond the
+    outer edges of the field, lit by the outermost pixels alone, are invalid.
     """
     dark, coded = light[0], light[1:]
     valid = np.ones(dark.shape, bool)
@@ -69,7 +69,7 @@ def decode(light: Sequence[Array], rows: int, cols: int, noise: float) -> tuple[
 
 
 def _place(phases: Array, gray: Sequence[Array], noise: float) -> tuple[Array, Mask]:
-    """Place `[height, width]` along one axis in pixels, and where it is sound."""
+    """Position `[height, width]` along one axis in pixels, and where it is valid."""
     turn = np.exp(2j * np.pi * np.arange(STEPS) / STEPS)
     sine = 2 / STEPS * np.tensordot(turn, phases, 1)  # its angle is the phase [height, width]
     mean = phases.mean(0)
@@ -84,18 +84,19 @@ def _place(phases: Array, gray: Sequence[Array], noise: float) -> tuple[Array, M
     return place, sound & (np.abs(place - middle) < 0.75 * PERIOD / 2)
 
 
-DEGREE: Final = 7  # of the polynomials in either direction: a lens of 15 % distortion leaves 0.001 px
-FITTED: Final = 20_000  # points at most that a map is fitted to
-WINDOW: Final = 5  # pixels of the lamp, over which a place is a linear function of lamp coordinates
-FEWEST_READINGS: Final = 12  # camera pixels in it
-STEP: Final = 0.05  # of differences, in the unit of a map's argument
-STRAYS: Final = 5.0  # standard deviations, beyond which a point is left out of a fit
+DEGREE = 7  # of the polynomials; leaves 0.001 px of a lens with 15 % distortion
+FITTED = 20_000  # most points of a fit
+WINDOW = 5  # lamp pixels along a side of the window of a local linear regression
+FEWEST_READINGS = 12  # camera pixels in a window
+STEP = 0.05  # of finite differences, in the unit of a map's argument
+STRAYS = 5.0  # standard deviations from which on a point is an outlier
 
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """A smooth map from points `[n]`, `[n]` to points `[n]`, `[n]`. low, high: `[2]`, corners of where it was fitted. coefficients:
-    `[2, k]`.
+    """A smooth map of the plane, as Chebyshev polynomials.
+
+    low, high: `[2]`, corners of the fitted region. degree: in x and y. coefficients: `[2, k]`.
     """
 
     low: Array
@@ -105,7 +106,7 @@ class Chart:
 
     @classmethod
     def fit(cls, a: tuple[Array, Array], b: tuple[Array, Array]) -> Self:
-        """The least-squares map from points a to points b, without outliers."""
+        """Least-squares map from points a to points b, `[n]`, `[n]` each, without outliers."""
         low, high = np.min(a, 1), np.max(a, 1)
         thin = max(1, len(a[0]) // FITTED)
         most = int(np.sqrt(len(a[0]) / thin / 4))  # four points a coefficient at least
@@ -124,22 +125,21 @@ class Chart:
         return chebyshev.chebvander2d(unit[0], unit[1], self.degree)
 
     def __call__(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Points of any shape."""
+        """Map points of any shape."""
         u, v = (self._terms(x.ravel(), y.ravel()) @ self.coefficients.T).T
         return u.reshape(x.shape), v.reshape(x.shape)
 
     def jacobian(self, x: Array, y: Array) -> Array:
-        """Derivatives `[2, 2, ...]` of the map's result (first index) by its argument, by finite differences."""
+        """Jacobian `[2, 2, ...]` by finite differences: derivatives of the result (first index) by the argument."""
         along = [np.subtract(self(x + dx, y + dy), self(x - dx, y - dy)) for dx, dy in ((STEP, 0.0), (0.0, STEP))]
         return np.stack(along, 1) / (2 * STEP)
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Centres of the light of each pixel of a module in the camera's picture.
+    """Centres of each pixel's light in the camera's picture.
 
-    u, v: `[rows, cols]` px, NaN where it was not found. chart: from lamp coordinates (row, column) to the camera's (u, v). lamp_of: the
-    other way round.
+    u, v: `[rows, cols]` px, NaN if not located. chart: from lamp coordinates (row, column) to image positions (u, v). lamp_of: its inverse.
     """
 
     u: Array
@@ -149,9 +149,9 @@ class Places:
 
 
 def places(row: Array, col: Array, valid: Mask, rows: int, cols: int) -> Places:
-    """Centres of all pixels of a module, by inverting the readings of camera pixels with a linear regression around each lamp pixel.
+    """Centres of all pixels of a module, by linear regression of decoded camera pixels around each lamp pixel.
 
-    row, col, valid: as `decode` gives them.
+    row, col, valid: from `decode`.
     """
     v, u = (each[valid] + 0.5 for each in np.indices(valid.shape, dtype=float))
     r, c = row[valid], col[valid]

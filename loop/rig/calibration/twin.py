@@ -1,14 +1,13 @@
-"""The twin of a rig: simulated frames of the exposures that a rig has recorded, compared with the rig's frames, and fitted to them.
+"""The twin of a rig: simulated frames of a recording's exposures, compared with the rig's frames, and fitted to them after the run.
 
-It is computed after the run, so that it does not slow down the loop. A fit is by least squares of digital numbers, with the uncertainty of
-each value.
+A fit is by least squares of digital numbers, with the uncertainty of each value.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -17,7 +16,6 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import least_squares
 from torch import Tensor
 
-from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.recording.manifest import TWIN, TWIN_PICTURE, table_of, write_table
 from luxloop.loop.rig.arrays import Array
 from luxloop.loop.rig.calibration.geometry import SIDE, blocks, covariance_of, group_residuals
@@ -29,36 +27,31 @@ from luxloop.loop.simulation.build_lamps import mount
 from luxloop.loop.simulation.frames import image_file, light_file, read_image, read_light, twin_file, write_image
 from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.loop.simulation.part_cache import PartCache
+from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.recorded import inside, recorded_rows
 from luxloop.loop.simulation.simulated import SimulatedPlant, simulated_plant
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.perception.camera import CameraParams, expose, luminance_of
 from luxloop.perception.metrics import ssim
 from luxloop.world.errors import LuxloopError
-from luxloop.world.headlight.lamp import Commands
 
-BLUR: Final = "blur_px"  # a value of the fit that no scenario has: standard deviation of the picture's blur
-MOST_PIXELS: Final = 200_000  # of all frames, that are compared in a fit
-SSIM_RADIUS: Final = 1.5
-STEP: Final = 0.05  # of a value, relative to its span, in differences
-MOST_STEPS: Final = 20
-BLURRED: Final = 0.3  # px, to begin with: at zero it has no slope
+BLUR = "blur_px"  # standard deviation of the picture's blur, a value of the fit that no scenario has
+MOST_PIXELS = 200_000  # of all frames in a fit
+SSIM_RADIUS = 1.5
+STEP = 0.05  # of finite differences, relative to a value's span
+MOST_STEPS = 20
+BLURRED = 0.3  # px, start value; at zero the blur has no slope
 
 
-@dataclass(frozen=True, eq=False)
-class RecordedExposure:
-    """One recorded exposure. image: digital numbers `[height, width]`."""
-
-    time_s: float
-    lights: tuple[Utilisation, ...]
-    commands: Commands
-    image: Tensor
+RecordedExposure = tuple[Exposure, Tensor]  # an exposure, and its digital numbers `[height, width]`
 
 
 @dataclass(frozen=True, eq=False)
 class FitResult:
-    """values, stds: by key, the latter with residuals that are alike within blocks of the frames (`covariance_of`). before, after: MAE and
-    RMSE in digital numbers and SSIM. noise: rms of the camera's in the recorded frames.
+    """Result of a fit.
+
+    values, stds: by key; standard deviations are for residuals that are correlated within blocks of the frames (`covariance_of`). before,
+    after: MAE and RMSE in digital numbers, and SSIM. noise: rms of the camera's noise in the recorded frames, in digital numbers.
     """
 
     values: Mapping[str, float]
@@ -69,7 +62,7 @@ class FitResult:
 
 
 def read_exposures(folder: Path, scenario: Scenario, most: int) -> list[RecordedExposure]:
-    """Up to `most` exposures of a recording with frames, spread evenly over it. Raises LuxloopError if it has none."""
+    """Up to `most` exposures of a recording with frames, evenly spread over the run. Raises LuxloopError if all frames are lost."""
     rows = [row for row in recorded_rows(folder)[:-1] if row["lost"] is False]
     if not rows:
         raise LuxloopError(f"{folder}: all frames are lost; record another run with --frames")
@@ -80,7 +73,7 @@ def read_exposures(folder: Path, scenario: Scenario, most: int) -> list[Recorded
         row = rows[k]
         lights, _, commands = read_light(inside(light_file(folder, row["light"]), folder), pixels, like.device)
         image = read_image(inside(image_file(folder, row["number"]), folder), scenario.camera, like)
-        shown.append(RecordedExposure(row["time_s"], lights, commands, image))
+        shown.append((Exposure(row["number"], row["time_s"], 0.0, lights, commands=commands), image))
     return shown
 
 
@@ -90,18 +83,18 @@ def fit(
     spans: Mapping[str, float],
     on_step: Callable[[], None] = lambda: None,
 ) -> FitResult:
-    """Least-squares fit of simulated to recorded frames. scenario_of: returns the scenario with values by key. spans: expected error of
-    each value to fit, by key.
+    """Least-squares fit of simulated to recorded frames.
 
-    Frames are compared as digital numbers before rounding, without noise; those that are saturated in the recording are left out.
-    Raises LuxloopError if a key is not of the scenario, or its value has no effect.
+    scenario_of: scenario by changed values of keys. spans: expected error of each fitted value, by key. Unrounded, noise-free digital
+    numbers are compared; saturated pixels of the recording are left out. Raises LuxloopError if the scenario lacks a key, or a key has no
+    effect.
     """
     scenario = scenario_of({})
     start = np.array([0.0 if key == BLUR else _value(scenario, key) for key in spans])
     span = np.array(list(spans.values()))
     levels = 2**scenario.camera.bits - 1
-    some = max(1, sum(each.image.numel() for each in shown) // MOST_PIXELS)
-    wanted = np.stack([each.image.double().numpy() for each in shown])  # [n, height, width]
+    some = max(1, sum(image.numel() for _, image in shown) // MOST_PIXELS)
+    wanted = np.stack([image.double().numpy() for _, image in shown])  # [n, height, width]
     used = (wanted < levels) & (np.arange(wanted[0].size) % some == 0).reshape(wanted[0].shape)
     cache = PartCache()
 
@@ -137,27 +130,27 @@ def fit(
     groups = (SIDE**2 * np.arange(len(wanted))[:, None, None] + block)[used]
     covariance = covariance_of(*group_residuals(solved.jac, robust, groups), variance)
     stds = dict(zip(spans, (span * np.sqrt(np.diag(covariance))).tolist(), strict=True))
-    return FitResult(values_at(solved.x), stds, before, after, _noise([each.image for each in shown], scenario.camera))
+    return FitResult(values_at(solved.x), stds, before, after, _noise([image for _, image in shown], scenario.camera))
 
 
 def _pictures(scenario: Scenario, shown: Sequence[RecordedExposure], cache: PartCache, blur: float) -> list[Array]:
-    """Unrounded digital numbers of a scenario's camera, blurred by a number of px."""
+    """Unrounded, noise-free digital numbers of the exposures in a scenario. blur: standard deviation in px."""
     modules = cache("modules", lambda headlight: lamp_modules(mount(headlight)), scenario.headlight)
     world = simulated_plant(scenario, modules, cache).world
-    seen = (world.luminance(each.time_s, each.lights, each.commands)[0].double().numpy() for each in shown)
+    seen = (world.luminance(each.start_s, each.lights, each.commands)[0].double().numpy() for each, _ in shown)
     blurred = (gaussian_filter(each, blur) if blur else each.copy() for each in seen)
     return [expose(torch.from_numpy(each), world.camera, quantise=False).numpy() for each in blurred]
 
 
 def _noise(images: Sequence[Tensor], camera: CameraParams) -> float:
-    """Root mean square of the camera's noise in digital numbers of frames `[height, width]`."""
+    """Rms of the camera's noise in digital numbers, at the luminances of frames `[height, width]`."""
     drawn = torch.Generator().manual_seed(0)
     noise = [expose(luminance_of(each, camera), camera, torch.randn(each.shape, generator=drawn)) - each for each in images]
     return float(torch.stack([each.square().mean() for each in noise]).mean().sqrt())
 
 
 def scores(pictures: Iterable[Array], wanted: Iterable[Array], levels: int) -> dict[str, float]:
-    """MAE and RMSE in digital numbers and SSIM of pictures `[height, width]`, over all of them. levels: the largest digital number."""
+    """MAE and RMSE in digital numbers and SSIM of pictures `[height, width]`, over all of them. levels: largest digital number."""
     left = [a - b for a, b in zip(pictures, wanted, strict=True)]
     alike = [float(ssim(torch.from_numpy(a), torch.from_numpy(b), SSIM_RADIUS, levels)) for a, b in zip(pictures, wanted, strict=True)]
     return {
@@ -168,7 +161,7 @@ def scores(pictures: Iterable[Array], wanted: Iterable[Array], levels: int) -> d
 
 
 def _value(scenario: Scenario, key: str) -> float:
-    """The number at a key such as `disturbances.aim[0].pitch_deg`. Raises LuxloopError where there is none."""
+    """Number at a key such as `disturbances.aim[0].pitch_deg`. Raises LuxloopError if the scenario has none there."""
     at: Any = scenario.model_dump(mode="json")
     for name in key.replace("]", "").replace("[", ".").split("."):
         try:
@@ -181,7 +174,7 @@ def _value(scenario: Scenario, key: str) -> float:
 
 
 # name: (type, unit, description)
-COLUMNS: Final[dict[str, tuple[pa.DataType, str, str]]] = {
+COLUMNS: dict[str, tuple[pa.DataType, str, str]] = {
     "number": (pa.int64(), "1", "number of the exposure, as in frames/exposures.parquet"),
     "time_s": (pa.float64(), "s", "when it began"),
     "mae": (pa.float64(), "DN", "mean absolute difference of the rig's and the simulated frame, in digital numbers"),
@@ -190,14 +183,12 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str, str]]] = {
     "mean_rig": (pa.float64(), "DN", "mean digital number of the rig's frame"),
     "mean_simulated": (pa.float64(), "DN", "mean digital number of the simulated frame"),
 }
-SCHEMA: Final = pa.schema(
-    pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in COLUMNS.items()
-)
-FIGURES: Final = tuple(COLUMNS)[2:]
+SCHEMA = pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in COLUMNS.items())
+FIGURES = tuple(COLUMNS)[2:]
 
 
 def twin_plant(scenario: Scenario, modules: Sequence[LampModule]) -> SimulatedPlant:
-    """The simulated plant of a scenario, without camera noise, so that differences are the rig's noise and errors of the simulation.
+    """Simulated plant of a scenario without camera noise; a difference to the rig is then the rig's noise or a simulation error.
 
     modules: of the scenario's lamps. Raises LuxloopError if a file is missing or damaged.
     """
@@ -208,17 +199,17 @@ def twin_plant(scenario: Scenario, modules: Sequence[LampModule]) -> SimulatedPl
 def write_twin(
     folder: Path, plant: SimulatedPlant, mark: MarkParams | None = None, on_frame: Callable[[], None] = lambda: None
 ) -> dict[str, Any]:
-    """Write the simulated frames of a rig's recording with frames beside them, their figures, and a picture of the last on frame.
+    """Write simulated frames beside a rig recording's frames, their figures, and a picture of the last on frame.
 
-    Returns the number of `exposures` that have a frame, and the means of the figures of their `on` and `off` frames. plant: of
-    `twin_plant`. mark: in the rig's light, which is left out. on_frame: called after each.
-    Raises LuxloopError if a file of the recording cannot be read, or a file cannot be written.
+    Returns the number of exposures with a frame, and mean figures of on and off frames. plant: from `twin_plant`. mark: in the rig's light,
+    left out of the figures. on_frame: called after each frame. Raises LuxloopError if a recorded file cannot be read, or a file cannot be
+    written.
     """
     camera, modules, per_step = plant.world.camera, plant.world.modules, len(plant.shares)
     like, pixels = modules[0].headlight.matrix.values, [each.headlight.n_pixels for each in modules]
     exposures = [row for row in recorded_rows(folder)[:-1] if row["lost"] is False]
 
-    @lru_cache(maxsize=2)  # with the symbol and without it, which exposures share
+    @lru_cache(maxsize=2)  # lights of on and off frames, which exposures share
     def light_of(number: int) -> Any:
         return read_light(inside(light_file(folder, number), folder), pixels, like.device)
 

@@ -1,1 +1,1 @@
-"""The beam of a real lamp, digitised live as the light of a module of the simulated world (T 4.3)."""
+"""A real lamp's beam, digitised live as the light of a module of the simulated world (T 4.3)."""

@@ -1,6 +1,6 @@
 """The simulated world lit by a real lamp: the lamp shows each exposure, and its beam on a screen becomes a module's light (T 4.3).
 
-A motion platform gets the poses of the vehicle's body over the ground as UDP datagrams of JSON, one a pose; roll is positive right side
+A motion platform gets the pose of the vehicle's body over the ground as a UDP datagram of JSON per exposure; roll is positive right side
 down, pitch nose down:
 
     {"number": 12, "time_s": 0.4, "heave_m": 0.01, "roll_deg": 0.2, "pitch_deg": -0.5}
@@ -16,7 +16,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Self
 
 import cv2
 import numpy as np
@@ -32,7 +32,7 @@ from luxloop.loop.rig.calibration.shots import luminous
 from luxloop.loop.rig.params import RigParams
 from luxloop.loop.rig.plant import RigPlant
 from luxloop.loop.rig.rectification import AS_SENT, WrongPicture, camera_picture
-from luxloop.loop.rig.rig import Rig, TimeHistogram
+from luxloop.loop.rig.rig import Rig, spread_ms
 from luxloop.loop.rig.wire.sockets import udp_sender
 from luxloop.loop.simulation.digitised import DigitisedPlant
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame
@@ -44,47 +44,52 @@ from luxloop.world.texels import TexelGrid
 
 
 class Beam:
-    """Light textures of exposures, in order. newest: the last digitised texture of a lit lamp, with its utilisation `[n_p]`."""
+    """Light textures of exposures in order.
+
+    newest: the last digitised texture of a lit lamp, and its utilisation `[n_p]`.
+    """
 
     def __init__(self, late: int, dark: Tensor) -> None:
-        """late: delay of the light in the simulated world, in exposures. dark: the texture before the first one."""
+        """late: delay of the light in the simulated world, in exposures. dark: texture before the first exposure."""
         self._under_way = deque[Tensor | None]([dark] * late, maxlen=late + 1)
-        self._digitising, self._whole, self._saturated = TimeHistogram(), TimeHistogram(), 0.0
+        self._digitising_s, self._whole_s, self._saturated = list[float](), list[float](), 0.0
         self.newest: tuple[Tensor, Tensor] | None = None
 
     def take(self, texture: Tensor | None) -> Tensor | None:
-        """Add the texture of an exposure, None if its frame is lost; returns the one that shines now, None if it is lost."""
+        """Add the texture of an exposure, None if its frame is lost; returns the texture that shines now, None if lost."""
         self._under_way.append(texture)
         return self._under_way[0]
 
     def note(self, digitising_s: float, since_light_s: float, saturated: float) -> None:
-        """Record an exposure. digitising_s: frame to texture. since_light_s: sent light to texture. saturated: share of pixels."""
-        self._digitising.add(digitising_s)
-        self._whole.add(since_light_s)
+        """Record an exposure. digitising_s: from frame to texture. since_light_s: from sending light to texture. saturated: share of
+        pixels.
+        """
+        self._digitising_s.append(digitising_s)
+        self._whole_s.append(since_light_s)
         self._saturated = max(self._saturated, saturated)
 
     def summary(self) -> dict[str, Any]:
         """The statistics as plain data."""
         return {
-            "light_to_texture_ms": self._whole.in_ms,
-            "frame_to_texture_ms": self._digitising.in_ms,
+            "light_to_texture_ms": spread_ms(self._whole_s),
+            "frame_to_texture_ms": spread_ms(self._digitising_s),
             "saturated": round(self._saturated, 6),
         }
 
 
-SEEN: Final = 0.5  # least share of the texels that the camera has to see
-ONE_FORMAT: Final = "camera: gives pictures in grey and in colour by turns; set it to one of them"
-SATURATED: Final = 0.98  # of the largest digital number, from which on a pixel counts as saturated
+SEEN = 0.5  # least share of texels in view
+ONE_FORMAT = "camera: gives pictures in grey and in colour by turns; set it to one of them"
+SATURATED = 0.98  # share of the largest digital number from which on a pixel is saturated
 
 
 @dataclass(frozen=True, eq=False)
 class Digitiser:
-    """Samples a camera's picture where the light of the texels falls on the screen, and converts it to luminous intensity.
+    """Conversion of a camera's picture of the screen to a light texture.
 
-    u, v: `[rows, cols]` float32, these positions in px, pixel centres at integers. candela: `[rows, cols]` float32, intensity in cd that
-    saturates the camera there, 0 where the camera does not see the screen. curve: `[levels + 1]` float32, light of a digital number
-    relative to saturation. shape: height and width of the picture in px. dark: light without the lamp in the part of the picture that is
-    read, as `light` returns it, or 0.
+    u, v: `[rows, cols]` float32, image position of each texel's light in px, pixel centres at integers. candela: `[rows, cols]` float32,
+    intensity in cd that saturates the camera there, 0 if out of view. curve: `[levels + 1]` float32, light by digital number relative to
+    saturation. shape: height and width of the picture in px. dark: light without the lamp in the evaluated part of the picture, as of
+    `light`, or 0.
     """
 
     u: Image
@@ -96,8 +101,9 @@ class Digitiser:
 
     @classmethod
     def of(cls, calibration: Calibration, module: str, grid: TexelGrid) -> Self:
-        """module: its name in the calibration. grid: of its light texture. Raises LuxloopError if the calibration lacks the module or the
-        scale, or if the camera sees less than half of the texels.
+        """Digitiser of a module. module: its name in the calibration. grid: of its light texture.
+
+        Raises LuxloopError if the calibration lacks the module or the scale, or if the camera sees less than half of the texels.
         """
         if calibration.lux is None:
             raise LuxloopError("has no scale; run `luxloop rig calibrate` again with a reading of a luxmeter, --lux LUX@U,V")
@@ -118,17 +124,17 @@ class Digitiser:
 
     @property
     def coverage(self) -> float:
-        """Share of the texels whose light the camera sees, 0..1."""
+        """Share of the texels in the camera's view, 0..1."""
         return float((self.candela > 0).mean())
 
     def without(self, pictures: Image) -> Self:
-        """A digitiser that also subtracts the mean light of pictures `[n, height, width]` or `[n, height, width, 3]` without the lamp."""
+        """Digitiser that subtracts the mean light of pictures `[n, height, width]` or `[n, height, width, 3]` without the lamp."""
         return replace(self, dark=np.stack([self.light(each) for each in pictures]).mean(0))
 
     def light(self, picture: Image) -> Image:
-        """Linear light of digital numbers in the part of the picture that is read, relative to saturation.
+        """Linear light in the evaluated part of a picture of digital numbers, relative to saturation.
 
-        Raises LuxloopError if the picture has another size or larger numbers than the calibration's camera.
+        Raises LuxloopError if the picture's size or numbers do not fit the calibration.
         """
         if picture.shape[:2] != self.shape:
             raise LuxloopError(f"is of {self.shape[1]} x {self.shape[0]} px, but the camera has {picture.shape[1]} x {picture.shape[0]} px")
@@ -139,23 +145,25 @@ class Digitiser:
             raise LuxloopError(f"has the response of numbers up to {len(self.curve) - 1}, but the camera gives {part.max():.0f}") from error
 
     def saturation(self, picture: Image) -> float:
-        """Share of saturated pixels in the part that is read, 0..1."""
+        """Share of saturated pixels in the evaluated part, 0..1."""
         return float((picture[self._part] >= SATURATED * (len(self.curve) - 1)).mean())
 
     def texture(self, picture: Image) -> Tensor:
         """Light texture `[rows, cols]` in cd of a grey picture `[height, width]`, or `[3, rows, cols]` in linear sRGB of a colour picture
-        `[height, width, 3]` (blue, green, red). Raises LuxloopError as `light`, and if the dark pictures had another number of channels.
+        `[height, width, 3]` (blue, green, red).
+
+        Raises LuxloopError as `light`, and if the dark pictures had another number of channels.
         """
         if isinstance(self.dark, np.ndarray) and self.dark.ndim != picture.ndim:
             raise LuxloopError(ONE_FORMAT)
-        lit = cv2.remap(self.light(picture) - self.dark, *self._maps, cv2.INTER_LINEAR).clip(0)  # noise has no sign in the dark
+        lit = cv2.remap(self.light(picture) - self.dark, *self._maps, cv2.INTER_LINEAR).clip(0)  # negative noise is cut off
         if lit.ndim == 2:
             return torch.from_numpy(lit * self.candela)
         return torch.from_numpy(lit).flip(2).permute(2, 0, 1) * torch.from_numpy(self.candela)
 
     @cached_property
     def _part(self) -> tuple[slice, slice]:
-        """Rows and columns of the picture that are read."""
+        """Rows and columns of the evaluated part of the picture."""
         seen = self.candela > 0
         spans = ((each[seen].min(), each[seen].max(), n) for each, n in zip((self.v, self.u), self.shape, strict=True))
         v, u = (slice(int(low), min(int(high) + 2, n)) for low, high, n in spans)
@@ -163,14 +171,14 @@ class Digitiser:
 
     @cached_property
     def _maps(self) -> tuple[Image, Image]:
-        """u and v, counted from the start of that part."""
+        """u and v relative to the evaluated part."""
         rows, cols = self._part
         return self.u - np.float32(cols.start), self.v - np.float32(rows.start)
 
 
 def _falling(geometry: Geometry, y: Array, z: Array) -> tuple[Array, Array]:
-    """Points on the screen lit by the texels at tangents y `[cols]` and z `[rows]`, `[rows * cols, 3]` m in the camera's frame, and cd per
-    lx there, `[rows * cols]`, from `I = E d^2 / cos` (T eq. 2.1.5); 0 where the light does not meet the screen.
+    """Points of the screen lit by the texels at tangents y `[cols]` and z `[rows]`, `[rows * cols, 3]` m in the camera's frame, and cd per
+    lx there, `[rows * cols]`, from `I = E d^2 / cos` (T eq. 2.1.5); 0 for rays that miss the screen.
     """
     lamp, screen = geometry.lamp, geometry.screen
     zz, yy = np.meshgrid(z, y, indexing="ij")
@@ -182,12 +190,12 @@ def _falling(geometry: Geometry, y: Array, z: Array) -> tuple[Array, Array]:
     return places, np.where((away * rays).sum(1) > 0, distance**2 / cos, 0.0)
 
 
-DARKS: Final = 8  # frames without light before the run, whose mean is subtracted
-FIRST: Final = 40  # number of the run's first exposure on the rig; the numbers below it are for the dark frames, which may be lost
+DARKS = 8  # dark frames before the run, whose mean is subtracted
+FIRST = 40  # number of the run's first exposure on the rig, after the dark frames, some of which may be lost
 
 
 def screen_picture(shape: tuple[int, int], data: Data) -> Image:
-    """Codes `[height, width]`, or `[height, width, 3]` (blue, green, red), of encoded or raw data. shape: height and width of the pictures.
+    """Codes `[height, width]`, or `[height, width, 3]` (blue, green, red), of an encoded or raw picture. shape: expected height and width.
 
     Raises WrongPicture if it is damaged or of another size.
     """
@@ -200,10 +208,10 @@ def screen_picture(shape: tuple[int, int], data: Data) -> Image:
 
 @dataclass(frozen=True, eq=False)
 class LivePlant:
-    """A plant whose simulated world waits for the lamp at each exposure. If the rig gets no frame of it, the exposure is lost.
+    """A plant whose simulated world waits for the lamp at each exposure; an exposure without a frame from the rig is lost.
 
-    own: the simulated world, and which of its modules is digitised. lab: the rig, which shows this module alone. digitiser: from pictures
-    to light textures. beam: the textures. platform: where the body's poses are sent.
+    own: the simulated world with its digitised module. lab: the rig, which shows this module alone. platform: socket of the motion
+    platform.
     """
 
     own: DigitisedPlant
@@ -214,11 +222,11 @@ class LivePlant:
 
     @property
     def truth(self) -> World:
-        """The ground truth of the simulated world, lit by the digitised light."""
+        """Ground truth of the simulated world, lit by the digitised light."""
         return self.own.truth
 
     def start(self) -> tuple[UnderWay, Arrivals]:
-        """The initial state: nothing is lit, and no frame is pending."""
+        """Initial state: nothing is lit, and no frame is pending."""
         return self.own.night.start()
 
     def show(self, state: UnderWay, exposure: Exposure) -> tuple[UnderWay, Arrivals]:
@@ -257,13 +265,13 @@ class LivePlant:
             body = self.own.night.dynamics.at(exposure.start_s)
             angles = {"roll_deg": math.degrees(body.roll_rad), "pitch_deg": math.degrees(body.pitch_rad)}
             pose = {"number": exposure.number, "time_s": exposure.start_s, "heave_m": body.heave_m, **angles}
-            with suppress(OSError):  # it is lost where nobody listens
+            with suppress(OSError):  # without a listener
                 self.platform.send(json.dumps(pose).encode())
 
 
 @contextmanager
 def live_plant(rig: Rig, own: DigitisedPlant, calibration: Calibration, exposures: int) -> Iterator[LivePlant]:
-    """The plant of an open rig. own: the scenario's plant. calibration: of the rig. exposures: number of exposures.
+    """Live plant of an open rig. own: the scenario's plant. calibration: of the rig. exposures: number of exposures.
 
     Takes dark frames first. Raises LuxloopError if they do not arrive, or if rig, calibration and scenario do not fit together.
     """
@@ -278,7 +286,7 @@ def live_plant(rig: Rig, own: DigitisedPlant, calibration: Calibration, exposure
 
 
 def refuse_unfit(params: RigParams) -> Path:
-    """The calibration's file. Raises LuxloopError if the rig file has no calibration, or has a mark."""
+    """Path of the calibration file. Raises LuxloopError if the rig file has no calibration, or has a mark."""
     if params.mark is not None:
         raise LuxloopError("mark: lies in the light that is digitised; take it out, and give light.repeats against lost packets")
     if params.calibration is None:
@@ -302,7 +310,7 @@ def _dark_frames(lab: RigPlant) -> Image:
 
 
 def _replace_frame(queue: UnderWay, arrivals: Arrivals, number: int, **changes: Any) -> tuple[UnderWay, Arrivals]:
-    """The queue and the arrivals with changes to the frame of an exposure, whether pending or arrived."""
+    """Queue and arrivals with changes to the frame of an exposure, whether pending or arrived."""
 
     def swap(frame: Frame) -> Frame:
         return replace(frame, **changes) if frame.number == number else frame

@@ -1,6 +1,6 @@
-"""A rig that is simulated in real time, as a process of its own: lamp, screen or road, lens and camera, with faults.
+"""A rig simulated in real time as a process of its own: lamp, screen or road, lens and camera, with faults.
 
-`faults.py` has its keys, `light_input.py` takes light from the network, `timeline.py` knows what is lit when, `scene.py` what the lens sees
-of it (`lens.py`), `camera.py` exposes pictures of that, `sensors.py` sends the vehicle's samples, `truth.py` tells tests what was true,
-`rig.py` holds them together.
+`faults.py` has the keys, `lamp.py` receives light and keeps its timeline, `scene.py` renders the scene through the lens (`lens.py`),
+`camera.py` exposes pictures, `board.py` shows a calibration board and luxmeter readings, `rig.py` joins them, sends sensor samples and
+serves the truth for tests.
 """

@@ -1,10 +1,10 @@
-"""Somebody with a ChArUco board and a luxmeter: what a laboratory has beside lamp and camera."""
+"""A ChArUco board in the hand or on the screen, and a luxmeter."""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, Self
+from typing import Any, Self
 
 import cv2
 import numpy as np
@@ -20,25 +20,28 @@ from luxloop.perception.camera import CameraParams, luminance_of
 from luxloop.world.caches import keeping
 from luxloop.world.errors import LuxloopError
 
-POSES: Final = 20
-POSE_S: Final = 1.0  # for which it is held in each
-LAID_S: Final = 2.0  # without light from anybody, after which it lies on the screen
-TILTS_DEG: Final = (25.0, 33.0, 41.0)
-ROLL_DEG: Final = 15.0
-GOLDEN_RAD: Final = 2.4  # from one pose's way of tilting to the next one's, so that they go to all sides
-FILLED: Final = (0.9, 0.65)  # of the picture's height or width
-ASIDE: Final = (0.0, -0.22, 0.22)  # of the picture's width and height, from its middle
-FINER: Final = 3  # times, so that its edges are not ragged
-DPI: Final = 100.0
-PAPER, ROOM = 0.6, 0.2  # of the largest digital number that white paper and all else have in room light
-BLACK: Final = 0.05  # reflectance of its ink, as a share of the paper's
-LIT: Final = 0.5  # of the largest illuminance: light ends there
-READ: Final = (0.1, 0.5, 0.9)  # of the light's width and height
+POSES = 20
+POSE_S = 1.0  # duration of each pose
+LAID_S = 2.0  # time without light until the board lies on the screen
+TILTS_DEG = (25.0, 33.0, 41.0)
+ROLL_DEG = 15.0
+GOLDEN_RAD = 2.4  # golden angle between the tilt directions of consecutive poses
+FILLED = (0.9, 0.65)  # share of the picture's height or width that the board fills
+ASIDE = (0.0, -0.22, 0.22)  # offset from the picture's centre, as a share of its width and height
+FINER = 3  # oversampling of the board's edges
+DPI = 100.0
+PAPER, ROOM = 0.6, 0.2  # digital numbers of white paper and of all else in room light, as shares of the largest
+BLACK = 0.05  # reflectance of the ink as a share of the paper's
+LIT = 0.5  # share of the largest illuminance at the edge of the light
+READ = (0.1, 0.5, 0.9)  # positions of readings, as shares of the light's width and height
 
 
 @dataclass(frozen=True, eq=False)
 class BoardView:
-    """A board in room light. T_view_screen: where it lies on what the camera's middle looks at. paper, room: luminance in cd/m^2."""
+    """A board in room light.
+
+    T_view_screen: pose on the surface in the centre of the picture. paper, room: luminances in cd/m^2.
+    """
 
     board: BoardParams
     lens: Lens
@@ -48,7 +51,7 @@ class BoardView:
 
     @classmethod
     def of(cls, params: BoardFaultParams, rig_scene: RigScene) -> Self:
-        """Raises LuxloopError where the camera looks at nothing that a board could lie on."""
+        """Board before a rig's camera. Raises LuxloopError if the picture's centre shows no surface for the board."""
         paper, room = luminance_of(torch.tensor([PAPER, ROOM]) * (2**rig_scene.camera.bits - 1), rig_scene.camera).tolist()
         T_world_view = rig_scene.world.view.T_world_view.numpy()
         surfaces = rig_scene.world.lit(0.0).surfaces
@@ -62,9 +65,9 @@ class BoardView:
         return cls(params, rig_scene.lens, _lying(turn @ (point - T_world_view[:3, 3]), turn @ normal, _size_m(params)), paper, room)
 
     def at(self, from_s: float, heard_s: float | None) -> Image | None:
-        """What the lens images `[height, width]` cd/m^2 from a time on; None while light comes, for which it is taken away.
+        """Image `[height, width]` in cd/m^2 from a time on; None while light arrives, during which there is no board.
 
-        heard_s: when light came last, None for never: until then it is held in the hand.
+        heard_s: time of the last light, None before the first, when the board is in the hand.
         """
         if heard_s is None:
             return self._images(int(from_s / POSE_S) % POSES)
@@ -75,11 +78,11 @@ class BoardView:
         return keeping(1, self.image)
 
     def image(self, pose: int | None) -> Image:
-        """What the lens images `[height, width]` cd/m^2 of the board in the hand, in one of its poses, or, None, on the screen."""
+        """Image `[height, width]` in cd/m^2 of the board in the hand in one of its poses, or, for None, on the screen."""
         T_view_board = self.T_view_screen if pose is None else board_pose(self.board, self.lens.camera, pose)
         drawn = picture(self.board, DPI)
         m_per_px = self.board.square_mm / 1000 * self.board.columns / drawn.shape[1]
-        on_board = np.array([[m_per_px, 0, m_per_px / 2], [0, m_per_px, m_per_px / 2], [0, 0, 1]])  # of the centres of its pixels
+        on_board = np.array([[m_per_px, 0, m_per_px / 2], [0, m_per_px, m_per_px / 2], [0, 0, 1]])  # from pixel centres to m
         camera, focal = self.lens.camera, FINER * focal_px(self.lens.camera)
         size = FINER * camera.width_px, FINER * camera.height_px
         pinhole = np.array([[focal, 0, size[0] / 2 - 0.5], [0, focal, size[1] / 2 - 0.5], [0, 0, 1]])
@@ -92,7 +95,7 @@ class BoardView:
 
 
 def board_pose(board: BoardParams, camera: CameraParams, pose: int) -> Array:
-    """T_view_board `[4, 4]` of a board in the hand, tilted, in the middle of the picture or aside."""
+    """T_view_board `[4, 4]` of a tilted board in the hand, in the picture's centre or beside it."""
     width, height = _size_m(board)
     way, tilt = GOLDEN_RAD * pose, math.radians(TILTS_DEG[pose % len(TILTS_DEG)])
     roll = math.radians(ROLL_DEG) * math.sin(1.7 * pose)
@@ -106,9 +109,9 @@ def board_pose(board: BoardParams, camera: CameraParams, pose: int) -> Array:
 
 
 def readings(rig_scene: RigScene) -> list[tuple[float, float, float]]:
-    """What a luxmeter shows at nine places of the light on the screen, all pixels on: lx, and where the camera sees it (u, v) px.
+    """Readings of a luxmeter at nine points of the light on the screen with all pixels on: lx, and image position (u, v) px.
 
-    Raises LuxloopError where the camera sees no light.
+    Raises LuxloopError if the camera sees no light.
     """
     scene = rig_scene.world.lit(0.0, direct=True)
     bright, _ = scene.light([torch.ones(each.headlight.n_pixels) for each in rig_scene.modules])
@@ -130,7 +133,7 @@ def readings(rig_scene: RigScene) -> list[tuple[float, float, float]]:
 
 
 def _image_place(rig_scene: RigScene, row: int, column: int) -> tuple[float, float]:
-    """Where the lens shows a pixel of the pinhole's picture, (u, v) px."""
+    """Image position (u, v) px through the lens of a pixel of the pinhole picture."""
     lens, focal = rig_scene.lens, focal_px(rig_scene.lens.camera)
     straight = np.array([[(column + 0.5) / rig_scene.columns - lens.camera.width_px / 2, row + 0.5 - lens.camera.height_px / 2]]) / focal
     u, v = (distort(lens.params, straight) * focal)[0] + lens.matrix[:2, 2]
@@ -138,7 +141,7 @@ def _image_place(rig_scene: RigScene, row: int, column: int) -> tuple[float, flo
 
 
 def _lying(point: Array, normal: Array, size_m: tuple[float, float]) -> Array:
-    """T_view_board of a board with its middle at a point of a surface `[3]` m, its rows along the picture's."""
+    """T_view_board of a board whose middle lies at a point of a surface `[3]` m, with its rows along the picture's."""
     right = np.array([1.0, 0.0, 0.0]) + normal[0] * -normal
     right /= np.linalg.norm(right)
     turn = np.stack([right, np.cross(-normal, right), -normal], 1)

@@ -1,4 +1,4 @@
-"""The camera: it integrates what is lit while each of its rows is exposed, and sends what it read."""
+"""The camera: it integrates the light during each row's exposure, and sends frames."""
 
 import math
 import queue
@@ -9,7 +9,6 @@ import time
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import cv2
 import numpy as np
@@ -25,12 +24,12 @@ from luxloop.perception.camera import CameraParams, expose
 from luxloop.perception.noise import FrameNoise
 from luxloop.world.errors import LuxloopError
 
-SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
-GREY: Final = 0  # colour type
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+GREY = 0  # colour type
 
 
-def png(image: Image | Image) -> bytes:
-    """A picture `[height, width]` of 8 or 16 bits, its numbers as they are."""
+def png(image: Image) -> bytes:
+    """PNG of a picture `[height, width]` of 8 or 16 bits, uncompressed."""
     height, width = image.shape
     rows = np.zeros((height, 1 + width * image.itemsize), np.uint8)  # a row begins with its filter, 0 for none
     rows[:, 1:] = image.astype(image.dtype.newbyteorder(">"), copy=False).view(np.uint8)
@@ -42,15 +41,15 @@ def _chunk(kind: bytes, data: bytes) -> bytes:
     return b"".join((struct.pack(">I", len(data)), kind, data, struct.pack(">I", zlib.crc32(data, zlib.crc32(kind)))))
 
 
-WAIT_S: Final = 0.1  # in which the end of the process is noticed
-UNSENT: Final = 128  # frames under way to the sender at most
+WAIT_S = 0.1  # interval of checks for the end
+UNSENT = 128  # most frames waiting to be sent
 
 
 @dataclass(frozen=True)
 class FrameTruth:
-    """What was true of a frame; times of `time.monotonic()` in s.
+    """Truth of a frame; times of `time.monotonic()` in s.
 
-    timecodes: of all light in it in the order of its appearance, None for dark. crc32: of its bytes as they are sent.
+    timecodes: of all light in the frame in the order of its appearance, None for dark. crc32: of the bytes as sent.
     """
 
     index: int
@@ -62,10 +61,10 @@ class FrameTruth:
 
 
 class RigCamera:
-    """Exposes frames of a rig_scene in the caller's thread, and sends them in one of its own."""
+    """Camera that exposes frames of a scene in the caller's thread, and sends them in a thread of its own."""
 
     def __init__(self, rig_scene: RigScene, timeline: Timeline, faults: FaultParams, send: Callable[[Part, FrameTruth], None]) -> None:
-        """send: gets each frame when it leaves the camera. Raises LuxloopError where the encoding lacks bits."""
+        """send: called with each frame when it leaves the camera. Raises LuxloopError if the encoding has too few bits."""
         self.rig_scene, self.timeline, self.faults = rig_scene, timeline, faults
         gamma = faults.camera.gamma  # the true one
         self.sensor = rig_scene.camera if gamma is None else rig_scene.camera.model_copy(update={"gamma": gamma})
@@ -73,7 +72,7 @@ class RigCamera:
             raise LuxloopError(f"camera.encoding: JPEG has 8 bits and the camera {self.sensor.bits}; set camera.bits=8 in the scenario")
         self.board = BoardView.of(faults.board, rig_scene) if faults.board.shown else None
         self.exposures = self.skipped = self.lost = 0
-        self.ended = False  # a signal's handler may set it, which must not wait for a lock
+        self.ended = False  # set by signal handlers, which must not wait for a lock
         self._random, self._send, self._open = random.Random(faults.seed + 1), send, True
         self._unsent: queue.Queue[tuple[float, Part, FrameTruth] | None] = queue.Queue(UNSENT)
         self._sender = threading.Thread(target=self._send_due, name="camera", daemon=True)
@@ -81,7 +80,7 @@ class RigCamera:
 
     @property
     def window_s(self) -> float:
-        """From the beginning of the first row's exposure to the end of the last one's."""
+        """Time from the start of the first row's exposure to the end of the last row's."""
         return self.faults.camera.readout_s + self.sensor.exposure_s
 
     def run(self) -> None:
@@ -89,12 +88,12 @@ class RigCamera:
         params, next_s = self.faults.camera, time.monotonic()
         while not self.ended:
             if params.trigger == "light":
-                late_s = time.monotonic() - 1 / params.rate_hz  # light from before triggers nothing any more
+                late_s = time.monotonic() - 1 / params.rate_hz  # older light triggers nothing
                 lit_s = self.timeline.newer(max(next_s, late_s), WAIT_S)
                 if lit_s is None:
                     continue
                 from_s = lit_s + params.trigger_delay_s
-                next_s = from_s + self.window_s  # what triggers while a frame is exposed is ignored
+                next_s = from_s + self.window_s  # triggers during an exposure are ignored
             else:
                 period_s = max(1 / params.rate_hz, self.window_s)
                 behind = max(math.floor((time.monotonic() - next_s) / period_s), 0)
@@ -106,7 +105,7 @@ class RigCamera:
             self._queue(self.expose(from_s))
 
     def expose(self, from_s: float) -> tuple[Part, FrameTruth]:
-        """The frame whose first row is exposed from a time on; its exposure is over."""
+        """Frame whose first row's exposure starts at a time; all exposures must be over."""
         segments, number = self.timeline.between(from_s, from_s + self.window_s), self.exposures
         self.exposures += 1
         begun_s = self.timeline.begun_s
@@ -120,9 +119,9 @@ class RigCamera:
         return part, FrameTruth(number, from_s, from_s + self.window_s, tuple(lit), zlib.crc32(part.body))
 
     def luminance(self, segments: Sequence[Segment], starts_s: Array, drive_s: float) -> Image:
-        """Mean over each row's exposure of what the lens images, `[height, width]` cd/m^2.
+        """Mean image over each row's exposure, `[height, width]` in cd/m^2.
 
-        starts_s: `[height]`, when each row's exposure begins.
+        starts_s: `[height]`, start of each row's exposure.
         """
         exposure_s = self.sensor.exposure_s
         lights = [(each.light, share) for each in segments if each.light and (share := shares(each, starts_s, exposure_s)).any()]
@@ -132,7 +131,7 @@ class RigCamera:
         return mixed
 
     def close(self) -> None:
-        """Stop; frames under way are not sent."""
+        """Stop; frames waiting to be sent are dropped."""
         self._open = False
         self._unsent.put(None)
         self._sender.join()
@@ -155,13 +154,13 @@ class RigCamera:
 
 
 def shares(segment: Segment, starts_s: Array, exposure_s: float) -> Image:
-    """Share `[height]` of each row's exposure in which a segment is lit."""
+    """Share `[height]` of each row's exposure during which a segment is lit."""
     overlap_s = np.minimum(segment.to_s, starts_s + exposure_s) - np.maximum(segment.from_s, starts_s)
     return (overlap_s.clip(0) / exposure_s).astype(np.float32)
 
 
 def flicker(params: FlickerParams, starts_s: Array, exposure_s: float) -> Image:
-    """Mean ambient light `[height]` over each row's exposure as a share of its mean in time."""
+    """Mean ambient light `[height]` during each row's exposure relative to its mean over time."""
     if not params.depth:
         return np.ones(len(starts_s), np.float32)
     angle = 2 * math.pi * params.rate_hz
@@ -170,7 +169,7 @@ def flicker(params: FlickerParams, starts_s: Array, exposure_s: float) -> Image:
 
 
 def read_out(luminance: Image, sensor: CameraParams, faults: FaultParams, number: int) -> Image:
-    """Digital numbers `[height, width]` of a frame, with noise, response and black level."""
+    """Digital numbers `[height, width]` of a frame with noise, response and black level."""
     dn = expose(torch.from_numpy(luminance), sensor, FrameNoise.of(faults.seed, number, 0) if sensor.noise else None, quantise=False)
     if black := faults.camera.black_level:
         dn.mul_(1 - black).add_(black * (2**sensor.bits - 1))
@@ -178,7 +177,7 @@ def read_out(luminance: Image, sensor: CameraParams, faults: FaultParams, number
 
 
 def encode(codes: Image, bits: int, params: CameraErrorParams) -> Part:
-    """A frame as it is sent: the digital numbers as they are, in 8 or 16 bits, without compression unless as JPEG."""
+    """Encoded frame: uncompressed PNG of 8 or 16 bits, or JPEG."""
     image = codes.astype(np.uint8) if bits == 8 else codes
     if params.encoding == "jpeg":
         return Part(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, params.quality])[1].tobytes(), JPEG)

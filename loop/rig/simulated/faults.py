@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -15,22 +15,22 @@ from luxloop.world.errors import locate
 from luxloop.world.params import Params, Seed, Share
 from luxloop.world.validation import read_toml, validate_model
 
-PREFIX: Final = "faults"
-COEFFICIENTS: Final = {"opencv": 5, "fisheye": 4, "division": 1}  # of each model of a lens
+PREFIX = "faults"
+COEFFICIENTS = {"opencv": 5, "fisheye": 4, "division": 1}  # number of coefficients by lens model
 
 
 class LightInputParams(Params):
     """Transmission of light from the network to the lamp."""
 
-    gamma: float = Field(1.0, ge=0.2, le=5, description="utilisation is the code, as a share of the largest, to this power; 1 is linear")
+    gamma: float = Field(1.0, ge=0.2, le=5, description="exponent of the utilisation, by the code as a share of the largest; 1 is linear")
     latency_s: float = Field(0.0, ge=0, le=1, description="delay from the last packet of a frame to its light")
     packet_loss: Share = Field(0.0, description="probability that a packet is lost")
-    mixed: bool = Field(False, description="whether an incomplete frame is lit, with older light in its gaps; else the lamp waits")
-    timeout_ms: float = Field(100.0, ge=1, le=60_000, description="time without a complete frame after which the lamp darkens")
+    mixed: bool = Field(False, description="whether an incomplete frame is shown, with older light in its gaps; otherwise the lamp waits")
+    timeout_ms: float = Field(100.0, ge=1, le=60_000, description="time without a complete frame until the lamp darkens")
 
 
 class LampErrorParams(PoseErrorParams):
-    """Differences of the lamp from the scenario: its pose, its intensity, its pixels."""
+    """Errors of the lamp: pose, intensity and pixels."""
 
     scale: float = Field(1.0, gt=0, le=10, description="intensity as a multiple of the scenario's")
     dead: Share = Field(0.0, description="share of pixels that never shine, in each module")
@@ -38,11 +38,14 @@ class LampErrorParams(PoseErrorParams):
 
 
 class ScreenParams(Params):
-    """A screen or road that is not Lambertian: it reflects more about the mirror direction."""
+    """A glossy screen or road, brighter about the mirror direction."""
 
     gloss: float = Field(0.0, ge=0, le=100, description="additional luminance in the mirror direction, as a share of the diffuse one")
     gloss_width_deg: float = Field(
-        15.0, gt=0.1, le=90, description="angle between the normal and the bisector of lamp and camera at which it has fallen to 1/e"
+        15.0,
+        gt=0.1,
+        le=90,
+        description="angle between the normal and the bisector of lamp and camera where this luminance is 1/e",
     )
 
 
@@ -51,17 +54,17 @@ class LensParams(Params):
 
     model: Literal["opencv", "fisheye", "division"] = Field(
         "opencv",
-        description="opencv: k1, k2, p1, p2, k3; fisheye: k1 to k4 of an equidistant lens; division: one, radii shrink by 1 + k r^2",
+        description="opencv: k1, k2, p1, p2, k3; fisheye: k1 to k4 of an equidistant lens; division: k, radii shrink by 1 + k r^2",
     )
     coefficients: tuple[float, ...] = Field((), max_length=5, description="coefficients of the model; left out: no distortion")
     centre_px: tuple[float, float] = Field((0.0, 0.0), description="offset of the principal point to the right and down")
     chromatic_percent: float = Field(
-        0.0, ge=-2, le=2, description="lateral chromatic aberration: by how much red is magnified more, and blue less, than green"
+        0.0, ge=-2, le=2, description="lateral chromatic aberration: magnification of red above, and of blue below, that of green"
     )
     blur_px: float = Field(0.0, ge=0, le=20, description="standard deviation of the image of a point")
     veil: float = Field(0.0, ge=0, le=0.5, description="share of the light that is scattered widely over the image (veiling glare)")
     veil_px: float = Field(60.0, ge=10, le=2000, description="standard deviation of the scattered light")
-    vignetting: Share = Field(0.0, description="share of the light that is lost in the corners; it grows with the radius' square")
+    vignetting: Share = Field(0.0, description="share of the light lost in the corners; the loss grows with the square of the radius")
 
     @model_validator(mode="after")
     def _as_many_as_the_model_has(self) -> Self:
@@ -72,20 +75,20 @@ class LensParams(Params):
 
     @property
     def k(self) -> Array:
-        """All coefficients of the model."""
+        """All coefficients of the model, zeros added."""
         return np.pad(self.coefficients, (0, COEFFICIENTS[self.model] - len(self.coefficients)))
 
 
 class CameraErrorParams(Params):
-    """How the camera exposes, responds and sends, beyond the scenario's [camera]."""
+    """Exposure, response and transmission of the camera beyond the scenario's [camera]."""
 
     rate_hz: float = Field(30.0, ge=0.1, le=1000, description="frame rate; frames that cannot be rendered in time are skipped")
-    trigger: Literal["free", "light"] = Field("free", description="free-running, or one frame of each new frame of light")
-    trigger_delay_s: float = Field(0.0, ge=0, le=1, description="delay from light to the exposure that it triggers")
+    trigger: Literal["free", "light"] = Field("free", description="free-running, or one frame per new frame of light")
+    trigger_delay_s: float = Field(0.0, ge=0, le=1, description="delay from light to the triggered exposure")
     readout_s: float = Field(
-        0.0, ge=0, le=1, description="rolling shutter: time from the first row's exposure to the last one's; 0: global"
+        0.0, ge=0, le=1, description="rolling shutter: time from the first row's exposure to the last row's; 0: global shutter"
     )
-    latency_s: float = Field(0.0, ge=0, le=5, description="delay from the end of an exposure to sending it; at least the rendering time")
+    latency_s: float = Field(0.0, ge=0, le=5, description="delay from the end of an exposure to sending; at least the rendering time")
     jitter_s: float = Field(
         0.0, ge=0, le=1, description="largest additional delay, drawn uniformly for each frame; frames keep their order"
     )
@@ -93,9 +96,9 @@ class CameraErrorParams(Params):
     gamma: float | None = Field(None, ge=1, le=3, description="true gamma of the response; left out: that of [camera]")
     black_level: float = Field(0.0, ge=0, le=0.5, description="digital number without light, as a share of the largest")
     columns: int = Field(
-        2, ge=1, le=8, description="samples over a pixel's width, beside the scenario's camera.oversampling over its height"
+        2, ge=1, le=8, description="samples over a pixel's width; over its height they are the scenario's camera.oversampling"
     )
-    encoding: Literal["png", "jpeg"] = Field("png", description="encoding of frames; JPEG is lossy and for cameras of 8 bits")
+    encoding: Literal["png", "jpeg"] = Field("png", description="encoding of frames; JPEG is lossy and for 8 bits only")
     quality: int = Field(95, ge=10, le=100, description="quality of JPEG")
 
 
@@ -113,7 +116,7 @@ class BoardFaultParams(BoardParams):
 
 
 class FaultParams(Params):
-    """All faults of a rig process; without them it is as its scenario says."""
+    """All faults of a rig process; by default there are none."""
 
     light: LightInputParams = Field(LightInputParams(), description="transmission of the light")
     lamp: LampErrorParams = Field(LampErrorParams(), description="errors of the lamp")
@@ -121,12 +124,12 @@ class FaultParams(Params):
     lens: LensParams = Field(LensParams(), description="distortion and errors of the lens")
     camera: CameraErrorParams = Field(CameraErrorParams(), description="shutter, response, delay and loss")
     flicker: FlickerParams = Field(FlickerParams(), description="flicker of the ambient light")
-    board: BoardFaultParams = Field(BoardFaultParams(), description="no fault: a board to calibrate the lens with")
+    board: BoardFaultParams = Field(BoardFaultParams(), description="a board for calibrating the lens")
     seed: Seed = Field(0, description="seed of losses, jitter and faulty pixels")
 
 
 def read(file: Path | None, changes: Sequence[str] = ()) -> FaultParams:
-    """Faults of a file with changes, as `faults.KEY=VALUE` in TOML syntax. Raises LuxloopError that names the file, the key, the remedy."""
+    """Faults of a file with changes, given as `faults.KEY=VALUE` in TOML syntax. Raises LuxloopError with file, key and remedy."""
     data: Mapping[str, Any] = {} if file is None else read_toml(file)
     if changes:
         data = overridden({PREFIX: {**FaultParams().model_dump(mode="json"), **data}}, changes)[PREFIX]
@@ -136,6 +139,6 @@ def read(file: Path | None, changes: Sequence[str] = ()) -> FaultParams:
 
 
 def split(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Overrides of the scenario's keys, and those of faults."""
+    """Overrides of the scenario's keys, and of fault keys."""
     mine = [each for each in overrides if each.partition("=")[0].strip().partition(".")[0] == PREFIX]
     return [each for each in overrides if each not in mine], mine

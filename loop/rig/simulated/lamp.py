@@ -1,4 +1,4 @@
-"""The lamp: what it shows when, and its inputs, DDP packets or the page of a loop."""
+"""The lamp: timeline of its light, and its inputs, DDP packets or a loop's page."""
 
 import json
 import random
@@ -8,7 +8,7 @@ import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Final
+from typing import Any
 
 import numpy as np
 from websockets.exceptions import ConnectionClosed, WebSocketException
@@ -21,39 +21,30 @@ from luxloop.loop.rig.wire.ddp import LARGEST_PACKET, Assembler, LightFrame
 from luxloop.loop.rig.wire.sockets import REFUSED, udp_listener
 
 MOST_KEPT = 128  # frames of light, of which some are as large as a third of a megabyte
-KEPT_S = 2.5  # longer than an exposure with its readout
+KEPT_S = 2.5  # history of light, longer than an exposure with its readout
 
 
 @dataclass(eq=False)
 class Segment:
-    """Light from one time to another, None where the lamp is dark."""
+    """Light from one time to another, None for dark."""
 
     from_s: float
     to_s: float
     light: LightFrame | None
 
 
-@dataclass(frozen=True)
-class LampState:
-    """light_sum: of the codes as shares. dark_since_s: None where it is lit."""
-
-    lit: bool
-    light_sum: float
-    dark_since_s: float | None
-
-
 class Timeline:
-    """Light that inputs of any kind show. It goes out by itself when nothing has come for `timeout_s`."""
+    """Timeline of light from an input. Light ends `timeout_s` after the last frame."""
 
     def __init__(self, timeout_s: float, latency_s: float = 0.0) -> None:
-        """latency_s: from `show` to the light."""
+        """latency_s: delay from `show` to the light."""
         self.timeout_s, self.latency_s = timeout_s, latency_s
         self.begun_s: float | None = None
         self._entries, self._changed = deque[Segment](maxlen=MOST_KEPT), threading.Condition()
         self._dark_from_s: float | None = time.monotonic()
 
     def show(self, light: LightFrame) -> None:
-        """Light from now on, and word that its sender is alive. What is shown already, by its time codes, stays."""
+        """Show light from now on, or extend the light of the same time codes, as a sign of life."""
         with self._changed:
             from_s = time.monotonic() + self.latency_s
             last = self._entries[-1] if self._entries else None
@@ -71,7 +62,7 @@ class Timeline:
             self._changed.notify_all()
 
     def between(self, from_s: float, to_s: float) -> list[Segment]:
-        """What is lit between two times, without a gap; the later one is not in the future."""
+        """Gapless segments between two times; the later one is not in the future."""
         with self._changed:
             found, at_s = list[Segment](), from_s
             for each in self._entries:
@@ -85,12 +76,12 @@ class Timeline:
 
     @property
     def heard_s(self) -> float | None:
-        """When light came last, be it dark; None for never."""
+        """Time of the last frame of light, dark ones included; None before the first."""
         with self._changed:
             return self._entries[-1].to_s - self.timeout_s if self._entries else None
 
     def newer(self, than_s: float, timeout_s: float) -> float | None:
-        """When the first light after a time begins, waiting for it; None where none comes."""
+        """Start of the first light after a time, None if none begins within the time-out."""
 
         def found() -> float | None:
             return next((each.from_s for each in self._entries if each.from_s > than_s), None)
@@ -98,32 +89,32 @@ class Timeline:
         with self._changed:
             return self._changed.wait_for(found, timeout_s)
 
-    def state(self) -> LampState:
-        """The lamp's now."""
+    def state(self) -> dict[str, Any]:
+        """State of the lamp now. light_sum: sum of the codes as shares. dark_since_s: None while lit."""
         with self._changed:
             now_s = time.monotonic()
             dark_from_s = self._dark_at(now_s)
             shown = next((each.light for each in reversed(self._entries) if each.from_s <= now_s < each.to_s), None)
         share = 0.0 if shown is None else float(shown.codes.sum(dtype=float)) / float(2 ** (8 * shown.codes.itemsize) - 1)
-        return LampState(share > 0, share, dark_from_s if share == 0 else None)
+        return {"lit": share > 0, "light_sum": share, "dark_since_s": dark_from_s if share == 0 else None}
 
     def _dark_at(self, at_s: float) -> float | None:
-        """Since when it is dark at a time that is not before the newest light."""
+        """Start of the current darkness, at a time not before the newest light; None while lit."""
         last = self._entries[-1] if self._entries else None
         if self._dark_from_s is None and last is not None and at_s > last.to_s:
             return last.to_s
         return self._dark_from_s
 
 
-BUFFER_BYTES: Final = 2**22  # of the socket; systems may give less
-LOOK_S: Final = 0.2  # between two looks at whether the end has come
+BUFFER_BYTES = 2**22  # of the socket; systems may grant less
+LOOK_S = 0.2  # interval of checks for the end
 
 
 class DdpInput:
-    """Takes DDP packets in a thread of its own and shows each whole frame. where: from where the light comes, in words."""
+    """Input of DDP packets, in a thread; it shows each whole frame. where: its address, for messages."""
 
     def __init__(self, timeline: Timeline, pixels: int, params: LightInputParams, address: tuple[str, int], seed: int) -> None:
-        """Listen; a port of 0 takes a free one. Raises LuxloopError where it cannot be had."""
+        """Listen; port 0 is a free port. Raises LuxloopError if the port is not available."""
         host, port = address
         self._timeline, self._params, self._random = timeline, params, random.Random(seed)
         self._socket = udp_listener(f"--light-port {port}", host, port)
@@ -136,27 +127,27 @@ class DdpInput:
         self._thread.start()
 
     def counts(self) -> dict[str, int]:
-        """Frames of light that were shown, that lacked packets, and what was refused, so far."""
+        """Number of frames shown, incomplete frames, and refused packets so far."""
         return {"frames": self._frames, "incomplete": self._assembler.incomplete, "refused": self._assembler.refused}
 
     def close(self) -> None:
-        """Stop to listen."""
+        """Stop listening."""
         self._open = False
         self._thread.join()
         self._socket.close()
 
     def _receive(self) -> None:
-        buffer = bytearray(LARGEST_PACKET + 1)  # a longer packet is seen to be too long
+        buffer = bytearray(LARGEST_PACKET + 1)  # one more, to detect longer packets
         view, loss, heard_s = memoryview(buffer), self._params.packet_loss, time.monotonic()
         while self._open:
             try:
                 size = self._socket.recv_into(buffer)
             except TimeoutError:
                 if time.monotonic() - heard_s >= self._params.timeout_ms / 1000:
-                    self._assembler.forget()  # the next sender may begin with any time code
+                    self._assembler.forget()  # the next sender may start with any time code
                 continue
             except OSError:
-                continue  # the system tells of a sender that has gone
+                continue  # an earlier sender has gone
             heard_s = time.monotonic()
             if loss and self._random.random() < loss:
                 continue
@@ -165,15 +156,15 @@ class DdpInput:
                 self._timeline.show(light)
 
 
-AGAIN_S: Final = 0.2  # between two tries to reach a loop
-PATIENCE_S: Final = 2.0  # in which a loop answers a try
-LARGEST_TEXT: Final = 1000  # bytes
+AGAIN_S = 0.2  # between two attempts to connect to a loop
+PATIENCE_S = 2.0  # time-out of an attempt
+LARGEST_TEXT = 1000  # bytes
 
 
 class ScreenInput:
-    """Shows the page of a loop's light `screen` as a browser does, in a thread of its own; without a loop it tries again.
+    """Input from a loop's light `screen`, in a thread; acts as a browser's page and reconnects by itself.
 
-    It says when it shows a frame, and that it has darkened where no word of the loop has come for the timeline's time-out.
+    It confirms each frame, and reports when it has darkened after the timeline's time-out without a sign of life.
     """
 
     def __init__(self, timeline: Timeline, grids: Grids, address: tuple[str, int]) -> None:
@@ -181,17 +172,17 @@ class ScreenInput:
         self._timeline, self._grids, self._address = timeline, grids, address
         self.where = "http://{}:{}/ (the page of a loop's light `screen`)".format(*address)
         self._dark = LightFrame(np.zeros(sum(rows * columns for rows, columns in grids), np.uint8), ())
-        self._shown: LightFrame | None = None  # None while it is dark by itself or as it was asked
+        self._shown: LightFrame | None = None  # None while dark
         self._heard_s, self._counts, self._open = 0.0, {"frames": 0, "incomplete": 0, "refused": 0}, True
         self._thread = threading.Thread(target=self._run, name="light", daemon=True)
         self._thread.start()
 
     def counts(self) -> dict[str, int]:
-        """Frames of light that were shown, that lacked packets, and what was refused, so far."""
+        """Number of frames shown, incomplete frames, and refused packets so far."""
         return self._counts
 
     def close(self) -> None:
-        """Leave the page."""
+        """Close the page."""
         self._open = False
         self._thread.join()
 
@@ -226,7 +217,7 @@ class ScreenInput:
             if message == DARK:
                 self._darken()
             elif self._shown is not None:
-                self._timeline.show(self._shown)  # word that the loop is alive
+                self._timeline.show(self._shown)  # sign of life
             return
         began_s = time.monotonic()
         try:

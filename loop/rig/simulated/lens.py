@@ -1,8 +1,8 @@
-"""The lens: which way each pixel of the camera looks, and what becomes of light on its way through the glass."""
+"""The lens: direction of each pixel, and blur, scattered light and vignetting."""
 
 import math
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,20 +12,21 @@ from luxloop.loop.rig.simulated.faults import LensParams
 from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError
 
-MARGIN_PX: Final = 2
-LARGEST: Final = 3.0  # a pinhole picture that holds the lens' whole field, as a multiple of the camera's
-MOST_ERROR_PX: Final = 0.01  # of an inverted distortion
-MOST_ROUNDS: Final = 100
-SETTLED: Final = 1e-9
-RED_GREEN_BLUE: Final = ((1, 0.25), (0, 0.5), (-1, 0.25))  # share of the magnification, and of a grey pixel's light
-VEIL_SCALE: Final = 8  # times coarser is the picture in which light is scattered widely
+MARGIN_PX = 2
+LARGEST = 3.0  # largest pinhole picture for the lens' field, as a multiple of the camera's picture
+MOST_ERROR_PX = 0.01  # of an inverted distortion
+INVERSION = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-12)  # of the distortion: steps, error
+RED_GREEN_BLUE = ((1, 0.25), (0, 0.5), (-1, 0.25))  # sign of the magnification, share of a grey pixel's light
+VEIL_SCALE = 8  # factor of the coarser picture for widely scattered light
 
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """camera: a pinhole with all that the lens sees. width, height: px of its own picture. maps: for each colour, where in the pinhole's
-    picture each pixel looks, `[height, width]` twice, and its share of the light; empty where that is the same pixel. falloff: `[height,
-    width]`, share of light that vignetting leaves.
+    """A lens, as a mapping of a pinhole picture.
+
+    camera: pinhole camera with the lens' whole field. width, height: px of the lens' picture. maps: for each colour the position in the
+    pinhole picture of each pixel, `[height, width]` twice, and its share of the light; empty without distortion. falloff: `[height,
+    width]`, transmission by vignetting.
     """
 
     params: LensParams
@@ -37,7 +38,7 @@ class Lens:
 
     @classmethod
     def of(cls, params: LensParams, camera: CameraParams) -> "Lens":
-        """Raises LuxloopError where the coefficients fold the picture, or ask for too wide a field."""
+        """Lens of a camera. Raises LuxloopError if the coefficients fold the picture, or the field is too wide."""
         width, height, focal = camera.width_px, camera.height_px, focal_px(camera)
         centre = np.array([width / 2 + params.centre_px[0], height / 2 + params.centre_px[1]])
         u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
@@ -64,7 +65,7 @@ class Lens:
         return cls(params, camera.model_copy(update=wide), width, height, tuple(maps), falloff)
 
     def image(self, luminance: Image) -> Image:
-        """What reaches the sensor, `[height, width]`, of a pinhole's picture in cd/m^2."""
+        """Image on the sensor, `[height, width]`, of a pinhole picture in cd/m^2."""
         seen: Any = luminance
         params = self.params
         if self.maps:
@@ -92,9 +93,9 @@ def focal_px(camera: CameraParams) -> float:
 
 
 def undistort(params: LensParams, seen: Array, focal: float) -> Array:
-    """Where a pinhole of focal length 1 sees the points `[N, 2]` that the lens images to `seen` `[N, 2]`.
+    """Pinhole positions of lens positions `seen`, both `[N, 2]` at focal length 1.
 
-    focal: in px, for the permitted error. Raises LuxloopError where the coefficients fold the picture.
+    focal: in px, for the permitted error. Raises LuxloopError if the coefficients fold the picture.
     """
     if not any(params.coefficients) and params.model != "fisheye":
         return seen
@@ -102,9 +103,9 @@ def undistort(params: LensParams, seen: Array, focal: float) -> Array:
         if params.model == "division":
             straight = seen / (1 + params.k[0] * (seen**2).sum(1, keepdims=True))
         elif params.model == "fisheye":
-            straight = _from_fisheye(params.k, seen)
+            straight = cv2.fisheye.undistortPoints(seen[:, None], np.eye(3), params.k, criteria=INVERSION)[:, 0]
         else:
-            straight = _from_opencv(params, seen)
+            straight = cv2.undistortPoints(seen[:, None], np.eye(3), params.k, criteria=INVERSION)[:, 0]
         error = np.abs(distort(params, straight) - seen).max() * focal
         turned = (straight * seen).sum(1)
     if not (error < MOST_ERROR_PX and (turned >= 0).all()):
@@ -113,34 +114,12 @@ def undistort(params: LensParams, seen: Array, focal: float) -> Array:
 
 
 def distort(params: LensParams, straight: Array) -> Array:
-    """Where the lens images points `[N, 2]` of a pinhole, both of focal length 1: the inverse of `undistort`."""
+    """Lens positions of pinhole positions, both `[N, 2]` at focal length 1: the inverse of `undistort`."""
     if params.model == "opencv":
         points = np.insert(straight, 2, 1, 1)
         return np.asarray(cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), params.k)[0][:, 0], np.float64)
-    radius = np.linalg.norm(straight, axis=1, keepdims=True).clip(1e-12)
     if params.model == "fisheye":
-        theta = np.arctan(radius)
-        return straight / radius * theta * (1 + sum(k * theta ** (2 * power) for power, k in enumerate(params.k, 1)))
+        return np.asarray(cv2.fisheye.distortPoints(straight[:, None], np.eye(3), params.k)[:, 0], np.float64)
+    radius = np.linalg.norm(straight, axis=1, keepdims=True)
     root = np.sqrt(1 - 4 * params.k[0] * radius**2)  # r_straight = r / (1 + k r^2), the smaller root of k r_straight r^2 - r + r_straight
     return straight * (2 / (1 + root))
-
-
-def _from_opencv(params: LensParams, seen: Array) -> Array:
-    straight = seen.copy()
-    for _ in range(MOST_ROUNDS):
-        step = seen - distort(params, straight)
-        straight += step
-        if not np.abs(step).max() > SETTLED:
-            break
-    return straight
-
-
-def _from_fisheye(given: Array, seen: Array) -> Array:
-    radius = np.linalg.norm(seen, axis=1, keepdims=True).clip(1e-12)
-    theta = radius.copy()
-    for _ in range(30):  # Newton's method
-        terms = [k * theta ** (2 * power) for power, k in enumerate(given, 1)]
-        slope = 1 + sum((2 * power + 1) * each for power, each in enumerate(terms, 1))
-        theta = theta - (theta * (1 + sum(terms)) - radius) / slope
-    theta = np.where((theta > 0) & (theta < math.radians(80)), theta, np.nan)
-    return seen / radius * np.tan(theta)

@@ -1,4 +1,4 @@
-"""The rig process: all its parts, its sensors, and what was true of it for tests."""
+"""The rig process: its parts, sensors, and the truth for tests."""
 
 import json
 import socket
@@ -10,7 +10,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, closing, suppress
 from dataclasses import asdict, dataclass
 from http.server import BaseHTTPRequestHandler
-from typing import Any, Final, Self
+from typing import Any, Self
 from urllib.parse import parse_qs, urlsplit
 
 import cv2
@@ -31,17 +31,17 @@ from luxloop.loop.scenario.model import Scenario
 from luxloop.perception.sensors import Sensors
 from luxloop.world.scene.vehicle import STANDING
 
-PERIOD_S: Final = 0.002  # in which samples that have become due are sent
-STANDING_S: Final = 0.05  # before the drive, the samples of its beginning come again and again
-MOST_FRAMES: Final = 4096
-SWITCH_S: Final = 0.0005  # after which a thread that waits for Python gets it, so that no packet is late
+PERIOD_S = 0.002  # interval of sending due samples
+STANDING_S = 0.05  # interval of repeating the initial samples before the drive
+MOST_FRAMES = 4096
+SWITCH_S = 0.0005  # interpreter's switch interval, so that no packet is late
 
 
 @dataclass(frozen=True)
 class Ports:
-    """Where a rig listens, 0 for a free port, and the address to which it sends the sensors' samples.
+    """Ports of a rig, 0 for a free one, and the destination of sensor samples.
 
-    screen: address of a loop's page, from which light comes in place of the network.
+    screen: address of a loop's page, from which light comes instead of the network.
     """
 
     host: str = "127.0.0.1"
@@ -53,12 +53,13 @@ class Ports:
 
 
 class SimulatedRig:
-    """A rig that runs in real time; `run` exposes frames in the thread that calls it, which owns the renderer. truth: the server for tests,
-    of what was true.
+    """A rig in real time; `run` exposes frames in the caller's thread, which owns the renderer.
+
+    truth: server of the truth, for tests.
     """
 
     def __init__(self, scenario: Scenario, faults: FaultParams, ports: Ports) -> None:
-        """Build the scene and listen. Raises LuxloopError where something of the scenario or a port cannot be had."""
+        """Build the scene and listen. Raises LuxloopError if a part of the scenario or a port is not available."""
         self.scenario, self.faults, self.ports = scenario, faults, ports
         self.rig_scene = RigScene(scenario, faults)
         self._grids = grids_of(self.rig_scene.modules)
@@ -84,24 +85,24 @@ class SimulatedRig:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Stop to listen and to send."""
+        """Stop listening and sending."""
         self._opened.close()
 
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
-        """Expose and send frames until `end` is called. ready: called when the first light could come."""
+        """Expose and send frames until `end` is called. ready: called when light can be received."""
         torch.set_num_threads(1)
         cv2.setNumThreads(1)
         sys.setswitchinterval(SWITCH_S)
-        self.rig_scene.light(LightFrame(np.zeros(self.rig_scene.pixels, np.uint8), (0,)), 0.0)  # so that the first light waits for nothing
+        self.rig_scene.light(LightFrame(np.zeros(self.rig_scene.pixels, np.uint8), (0,)), 0.0)  # prepares the renderer
         ready()
         self.camera.run()
 
     def end(self) -> None:
-        """End `run`, from any thread or a signal's handler, which must not wait for a lock."""
+        """End `run`, from any thread or a signal handler, which must not wait for a lock."""
         self.camera.ended = True
 
     def addresses(self) -> list[str]:
-        """A line for each of its addresses."""
+        """A line for each address."""
         host, lens, modules = self.ports.host, self.rig_scene.lens, self.rig_scene.modules
         shown = ", ".join(f"{each.name} {rows} x {columns}" for each, (rows, columns) in zip(modules, self._grids, strict=True))
         camera = f"{lens.width} x {lens.height} px, {self.rig_scene.camera.bits} bits"
@@ -115,7 +116,7 @@ class SimulatedRig:
         return [*lines, f"truth:  http://{host}:{self.truth.server_address[1]}/truth (for tests)"]
 
     def description(self) -> dict[str, Any]:
-        """What the rig truly is, as plain data."""
+        """The true rig as plain data."""
         rig_scene, lens = self.rig_scene, self.rig_scene.lens
         T_world_camera = rig_scene.world.view.T_world_view.tolist()
         camera = {"width_px": lens.width, "height_px": lens.height, "matrix": lens.matrix.tolist(), "T_world_camera": T_world_camera}
@@ -132,7 +133,7 @@ class SimulatedRig:
         return ScreenInput(self.timeline, self._grids, self.ports.screen)
 
     def summary(self) -> str:
-        """What it has done, in a line."""
+        """A line of statistics."""
         camera, light = self.camera, self.light.counts()
         lost = f"{camera.lost} lost, {camera.skipped} skipped"
         return f"{camera.exposures} frames exposed ({lost}), {light['frames']} frames of light ({light['incomplete']} incomplete)"
@@ -143,8 +144,8 @@ class SimulatedRig:
         self.pictures.publish(part)
 
     def _answer(self, handler: BaseHTTPRequestHandler) -> None:
-        """`GET /truth` gives frames in the order of sending and the lamp's state, `?since=INDEX` only frames from that index on; `GET
-        /truth/rig` gives the description.
+        """Answer GET requests: `/truth` gives frames in the order of sending and the lamp's state, `/truth?since=INDEX` only frames from
+        that index on, `/truth/rig` the description.
         """
         asked = urlsplit(handler.path)
         if asked.path == "/truth/rig":
@@ -167,7 +168,7 @@ class SimulatedRig:
             handler.wfile.write(body)
 
     def _send_samples(self, sensors: Sensors, to: socket.socket) -> None:
-        """Send what the vehicle's sensors measure as it becomes due; the drive begins with the first light."""
+        """Send due samples of the vehicle's sensors; the drive begins with the first light."""
         like, sent_s = torch.empty(0), 0.0
         while not self._closed.wait(STANDING_S if self.timeline.begun_s is None else PERIOD_S):
             now_s, begun_s = time.monotonic(), self.timeline.begun_s
@@ -176,10 +177,10 @@ class SimulatedRig:
             else:
                 samples, zero_s = sensors.arriving(sent_s, max(now_s - begun_s, sent_s), like), begun_s
                 sent_s = max(now_s - begun_s, sent_s)
-            with suppress(OSError):  # nobody listens yet
+            with suppress(OSError):  # without a listener
                 for each in samples:
                     to.send(encode(each.sensor, zero_s + each.measured_s, time.monotonic(), each.values.tolist()))
 
     def _state(self) -> dict[str, Any]:
         counts, camera = self.light.counts(), self.camera
-        return {**asdict(self.timeline.state()), "light": counts, "skipped": camera.skipped, "lost": camera.lost}
+        return {**self.timeline.state(), "light": counts, "skipped": camera.skipped, "lost": camera.lost}

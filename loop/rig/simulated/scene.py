@@ -1,8 +1,7 @@
-"""What the lens sees of the scenario's wall, table or road under a frame of light; it does the work again only where something changed."""
+"""The scenario's scene as imaged by the lens under a frame of light; cached until something changes."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 import torch
@@ -21,20 +20,20 @@ from luxloop.loop.simulation.truth import LampModule, true_modules
 from luxloop.loop.simulation.world import LitScene, World
 from luxloop.world.caches import keeping
 from luxloop.world.frames import unit
-from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand
+from luxloop.world.headlight.lamp import REST, Commands
 
-KEPT: Final = 8  # images of lights, of which an on and an off frame alternate
-STUCK_KEY: Final = 1  # of the generator of stuck pixels, beside that of dead ones
+KEPT = 8  # cached images of lights, since on and off frames alternate
+STUCK_KEY = 1  # generator key of stuck pixels
 
 
 class RigScene:
-    """A scene as the true lens images it, without exposure.
+    """A scene as imaged by the true lens, without exposure.
 
-    modules: the lamps as they truly are. camera: of the sensor behind the lens.
+    modules: the true lamps. camera: of the sensor behind the lens.
     """
 
     def __init__(self, scenario: Scenario, faults: FaultParams) -> None:
-        """Build all. Raises LuxloopError where something is missing or broken, or where the lens folds the picture."""
+        """Build the scene. Raises LuxloopError if a file is missing or damaged, or the lens folds the picture."""
         world = simulated_plant(scenario, lamp_modules(mount(scenario.headlight))).world
         self.modules = _true(world.modules, faults)
         self.camera, self.gamma, self.screen = world.camera, faults.light.gamma, faults.screen
@@ -47,17 +46,17 @@ class RigScene:
 
     @property
     def pixels(self) -> int:
-        """Of all modules together."""
+        """Number of pixels of all modules."""
         return sum(each.headlight.n_pixels for each in self.modules)
 
     def base(self, time_s: float) -> Image:
-        """Image `[height, width]` in cd/m^2 of all light but the lamps'. time_s: since the drive began."""
+        """Image `[height, width]` in cd/m^2 of all light but the lamps'. time_s: since the start of the drive."""
         return self._at(time_s, False).base
 
     def light(self, light: LightFrame, time_s: float) -> Image:
         """Image `[height, width]` in cd/m^2 of the lamps' light alone."""
-        given = [ModuleCommand(**vars(each)) for each in light.commands or ()][: len(self.modules)]
-        rest = [REST] * (len(self.modules) - len(given))  # of modules whose commands were not sent
+        given = (light.commands or ())[: len(self.modules)]
+        rest = [REST] * (len(self.modules) - len(given))  # of modules without commands
         commands = () if all(each == REST for each in given) else (*given, *rest)
         return self._at(time_s, bool(commands)).image(light.codes.tobytes(), light.codes.dtype.char, commands)
 
@@ -68,12 +67,12 @@ class RigScene:
         return self._lit[turned]
 
     def _utilisations(self, codes: Codes) -> list[Tensor]:
-        """Of each module `[n_p]`, its stuck pixels fully on."""
+        """Utilisations `[n_p]` of each module, with stuck pixels fully on."""
         parts = torch.from_numpy(utilisations_of(codes, self.gamma)).split([each.headlight.n_pixels for each in self.modules])
         return [part.index_fill(0, stuck, 1.0) for part, stuck in zip(parts, self._stuck, strict=True)]
 
     def _gloss(self, scene: LitScene) -> Tensor | None:
-        """Luminance factors `[height, width]` of the screen beside its own, None where it has none."""
+        """Luminance of the glossy screen relative to a diffuse one, `[height, width]`; None without gloss."""
         if not self.screen.gloss:
             return None
         T_world_body = scene.vehicle.T_world_body
@@ -83,8 +82,10 @@ class RigScene:
 
 @dataclass(eq=False)
 class _Lit:
-    """A scene in which nothing moves, and the images of the last lights in it. columns: samples over a pixel's width. factor: luminance
-    factor of each sample `[height, columns * width]`, None where they are 1. utilisations: of codes.
+    """A scene at one time, and images of the last lights in it.
+
+    columns: samples over a pixel's width. factor: relative luminance of each sample `[height, columns * width]`, None without gloss.
+    utilisations: from codes to utilisations.
     """
 
     scene: LitScene
@@ -99,7 +100,7 @@ class _Lit:
         self.image = keeping(KEPT, self._image)
 
     def _image(self, codes: bytes, kind: str, commands: Commands) -> Image:
-        """What the lens images of the lamps' light, `[height, width]` in cd/m^2. kind: type of the codes."""
+        """Image `[height, width]` in cd/m^2 of the lamps' light alone. kind: dtype of the codes."""
         lights, camera = self.utilisations(np.frombuffer(codes, kind)), self.lens.camera
         luminance = torch.zeros(camera.height_px, camera.width_px)
         for number, (u, command) in enumerate(zip(lights, commands or [REST] * len(lights), strict=True)):
@@ -111,7 +112,7 @@ class _Lit:
 
 
 def gloss(params: ScreenParams, position: Tensor, normal: Tensor, lamp: Tensor, eye: Tensor) -> Tensor:
-    """Luminance `[height, width]` of a glossy surface as a multiple of the diffuse one's.
+    """Luminance of a glossy surface relative to a diffuse one, `[height, width]`.
 
     position, normal: `[3, height, width]` m. lamp, eye: `[3]` m.
     """

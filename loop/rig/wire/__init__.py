@@ -1,1 +1,1 @@
-"""Bytes on the network between a loop and a rig: light, camera frames, sensor samples. Without torch."""
+"""Network formats between a loop and a rig: light, camera frames, sensor samples."""

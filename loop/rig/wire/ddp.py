@@ -1,19 +1,19 @@
-"""Light as DDP, the Distributed Display Protocol: the pixels of one frame in UDP packets, and back.
+"""Light as DDP, the Distributed Display Protocol: the pixels of a frame in UDP packets, and back.
 
 A packet has a header of 10 bytes, big endian, 14 with a time code, and at most 1440 bytes of data:
 
 | byte | value |
 | --- | --- |
 | 0 | 0x40: version 1; plus 0x10 with a time code, plus 0x01 in the last packet of a frame (push) |
-| 1 | number of the packet, 1 to 15 and again from 1, counted over frames |
+| 1 | packet number, 1 to 15 cyclic, counted over frames |
 | 2 | 0x23: grey, 8 bits; 0x24: grey, 16 bits, big endian |
-| 3 | 1: pixels; 246: commands of modules as JSON, which go before the pixels |
-| 4-7 | place of the data in the frame in bytes, a multiple of 1440 |
+| 3 | 1: pixels; 246: module commands as JSON, sent before the pixels |
+| 4-7 | offset of the data in the frame in bytes, a multiple of 1440 |
 | 8-9 | length of the data in bytes |
 | 10-13 | time code of the frame, if flagged: here a number, not the NTP time of the specification |
 
-One time code stands for one content. So a frame that is sent again repairs what was lost of it. Without time codes a packet that lies no
-farther in the frame than the one before begins a new frame.
+One time code stands for one content, so a repeated frame repairs its lost packets. Without time codes, a packet whose offset is not larger
+than the previous packet's begins a new frame.
 
 Source: Distributed Display Protocol, 3waylabs.
 """
@@ -25,46 +25,38 @@ import struct
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import Commands, ModuleCommand
 
-PORT: Final = 4048
-DATA_BYTES: Final = 1440  # of a packet at most, so that it fits into an Ethernet frame
-LARGEST_PACKET: Final = 14 + DATA_BYTES
+PORT = 4048
+DATA_BYTES = 1440  # most data of a packet, which fits an Ethernet frame
+LARGEST_PACKET = 14 + DATA_BYTES
 VERSION, TIMECODE, PUSH = 0x40, 0x10, 0x01
-VERSION_BITS: Final = 0xC0
+VERSION_BITS = 0xC0
 GREY8, GREY16 = 0x23, 0x24
 PIXELS, COMMANDS = 1, 246
-BURST: Final = 64  # packets that any receiver's buffer holds
-TIMECODES: Final = 2**32
+BURST = 64  # packets that any receiver's buffer holds
+TIMECODES = 2**32
 
 Codes = NDArray[np.uint8] | NDArray[np.uint16]
 _HEADER, _TIMECODE = struct.Struct(">BBBBIH"), struct.Struct(">I")
 
 
-@dataclass(frozen=True)
-class WireCommand:
-    """Turn of a module from its rest in deg, to the left and nose down positive, and the limit of its intensity, 0..1."""
-
-    swivel_deg: float = 0.0
-    level_deg: float = 0.0
-    intensity: float = 1.0
-
-
 @dataclass(frozen=True, eq=False)
 class LightFrame:
-    """A frame of light as it came. codes: `[n]` of all modules one after another. commands: one a module, None where none were sent.
+    """A received frame of light.
 
-    timecodes: its own, and in a mixed frame those of the older frames of which it shows a part.
+    codes: `[n]` of all modules one after another. commands: one per module, None if none were sent. timecodes: of the frame, and in a mixed
+    frame of the older frames that fill its gaps.
     """
 
     codes: Codes
     timecodes: tuple[int, ...]
-    commands: tuple[WireCommand, ...] | None = None
+    commands: Commands | None = None
 
 
 def codes_of(u: NDArray[np.floating], bits: int, gamma: float = 1.0) -> Codes:
@@ -82,16 +74,16 @@ def utilisations_of(codes: Codes, gamma: float = 1.0) -> NDArray[np.float32]:
 
 
 def sequence() -> Iterator[int]:
-    """Numbers of the packets of a sender."""
+    """Packet numbers of a sender."""
     return itertools.cycle(range(1, 16))
 
 
 def packets(
     codes: Codes, timecode: int | None = None, commands: Sequence[object] | None = None, numbers: Iterator[int] | None = None
 ) -> Iterator[bytes]:
-    """The packets of a frame, in the order in which they go out. numbers: of the packets, from `sequence`; left out: from 1.
+    """Packets of a frame in the order of sending. numbers: packet numbers from `sequence`; left out: from 1.
 
-    Raises LuxloopError where the commands do not fit into one packet.
+    Raises LuxloopError if the commands do not fit into one packet.
     """
     kind = GREY8 if codes.dtype == np.uint8 else GREY16
     numbers = sequence() if numbers is None else numbers
@@ -109,9 +101,9 @@ def packets(
 
 
 def send(sock: socket.socket, frame: Iterable[bytes], pause_s: float = 0.0002) -> None:
-    """Send the packets of a frame over a connected UDP socket, with a pause after each 64, in which the receiver empties its buffer.
+    """Send the packets of a frame over a connected UDP socket, with a pause after each 64 in which the receiver empties its buffer.
 
-    Raises OSError as sockets do, such as ConnectionRefusedError where nobody listened at the packet before.
+    Raises OSError as sockets do, such as ConnectionRefusedError if nobody received an earlier packet.
     """
     for number, packet in enumerate(frame):
         if number and number % BURST == 0:
@@ -120,32 +112,32 @@ def send(sock: socket.socket, frame: Iterable[bytes], pause_s: float = 0.0002) -
 
 
 class Assembler:
-    """Puts packets together to frames of a given number of pixels; keeps one frame at most.
+    """Assembles packets to frames of a given number of pixels, one frame at a time.
 
-    A frame is complete with its last missing packet. A sender that has commanded modules does so with every frame, so that one without its
-    commands lacks something. incomplete: frames that were given up since a newer one began. refused: packets that are none of such a frame.
+    A frame is complete with its last missing packet; from a sender of module commands a frame without commands is incomplete. incomplete:
+    number of frames abandoned for a newer one. refused: number of invalid packets.
     """
 
     def __init__(self, pixels: int, mixed: bool = False) -> None:
-        """mixed: whether an incomplete frame comes at its push, its holes filled with older light, as simple lamps do."""
+        """mixed: whether an incomplete frame is returned at its push, its gaps filled with older light, as by simple lamps."""
         self.pixels, self.mixed = pixels, mixed
         self.incomplete = self.refused = 0
         self._given_out = False
-        self._implied, self._place = 0, -2  # of packets without time code: number of the frame, and place of the last one
+        self._implied, self._place = 0, -2  # of packets without time code: frame number, last offset
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew: the next frame may have any time code."""
+        """Reset: the next frame may have any time code."""
         self._timecode: int | None = None
         self._kind = 0
         self._buffer = bytearray()
-        self._origins = dict[int, int]()  # of a packet's place: the time code of what is there
+        self._origins = dict[int, int]()  # time code of the data by its offset
         self._missing = 0
-        self._commands: tuple[WireCommand, ...] | None = None
+        self._commands: Commands | None = None
         self._commanding = self._given = False
 
     def take(self, packet: bytes | memoryview) -> LightFrame | None:
-        """A packet, as it came in; the frame that it completes."""
+        """Take a received packet; returns the frame that it completes, or None."""
         if len(packet) < _HEADER.size:
             self.refused += 1
             return None
@@ -164,7 +156,7 @@ class Assembler:
         timecode = self._timecode_of(packet, flags, -1 if id_ == COMMANDS else offset)
         if timecode != self._timecode or kind != self._kind:
             if self._timecode is not None and 0 < (self._timecode - timecode) % TIMECODES < TIMECODES // 2:
-                return None  # late, of a frame that a newer one has replaced
+                return None  # late: a newer frame has begun
             self._begin(timecode, kind, whole)
         if commands is not None:
             self._commands, self._given, self._commanding = commands, True, True
@@ -173,7 +165,7 @@ class Assembler:
             self._origins[offset] = timecode
             self._missing -= 1
         elif self._given_out:
-            return self._frame() if flags & PUSH else None  # sent again, whole: word that the sender is alive
+            return self._frame() if flags & PUSH else None  # a repeated whole frame is a sign of life
         if self._given_out:
             return None
         complete = not self._missing and (self._given or not self._commanding)
@@ -183,7 +175,7 @@ class Assembler:
         return None
 
     def _timecode_of(self, packet: bytes | memoryview, flags: int, place: int) -> int:
-        """The time code of a packet's frame, or the number of the frame where it has none."""
+        """Time code of a packet's frame, or the frame's number if it has none."""
         if flags & TIMECODE:
             found: int = _TIMECODE.unpack_from(packet, _HEADER.size)[0]
             return found
@@ -208,11 +200,11 @@ class Assembler:
         return LightFrame(codes, (self._timecode, *sorted(older)), self._commands)
 
 
-def _commands(text: bytes) -> tuple[WireCommand, ...] | None:
-    """Commands of modules, None where the text has none."""
+def _commands(text: bytes) -> Commands | None:
+    """Module commands of a JSON text, None if it is invalid."""
     try:
         modules = json.loads(text)["modules"]
-        commands = tuple(WireCommand(**{key: float(value) for key, value in each.items()}) for each in modules)
+        commands = tuple(ModuleCommand(**{key: float(value) for key, value in each.items()}) for each in modules)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
     fine = all(abs(each.swivel_deg) <= 180 and abs(each.level_deg) <= 180 and 0 <= each.intensity <= 1 for each in commands)

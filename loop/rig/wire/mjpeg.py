@@ -1,50 +1,50 @@
-"""Pictures as a network camera sends them: parts of one endless HTTP answer (`multipart/x-mixed-replace`), and back.
+"""Pictures of a network camera: parts of one endless HTTP answer (`multipart/x-mixed-replace`), and back.
 
-Each part is a JPEG or PNG with `Content-Type` and `Content-Length`, without number or time. A client that reads too slowly misses pictures.
+Each part is a JPEG or PNG with `Content-Type` and `Content-Length`, without number or time. A slow client misses pictures.
 """
 
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler
-from typing import Any, Final
+from typing import Any
 
 from luxloop.loop.rig.wire.sockets import serve_http
 from luxloop.world.errors import LuxloopError
 
-BOUNDARY: Final = b"--frame"
+BOUNDARY = b"--frame"
 JPEG, PNG = "image/jpeg", "image/png"
-MOST_CLIENTS: Final = 8
-LONGEST_LINE: Final = 1024  # bytes of a part's header line
-MOST_LINES: Final = 32
+MOST_CLIENTS = 8
+LONGEST_LINE = 1024  # bytes of a part's header line
+MOST_LINES = 32
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A picture, encoded. kind: its media type."""
+    """An encoded picture. kind: its media type."""
 
     body: bytes
     kind: str
 
 
 class PictureServer:
-    """Sends each picture to all clients that have taken the one before. clients: how many there are."""
+    """Server that sends each picture to the clients that are ready. clients: number of clients."""
 
     def __init__(self, host: str, port: int, path: str = "/camera") -> None:
-        """Listen. Raises LuxloopError where the port cannot be had."""
+        """Listen. Raises LuxloopError if the port cannot be opened."""
         self.path = path
         self._changed, self._part, self._number, self._open, self.clients = threading.Condition(), Part(b"", JPEG), 0, True, 0
         self._server = serve_http(f"--camera-port {port}", host, port, self._answer)
         self.port = self._server.server_address[1]
 
     def publish(self, part: Part) -> None:
-        """Send a picture to all clients; it does not wait for them."""
+        """Send a picture to all clients without waiting for them."""
         with self._changed:
             self._part, self._number = part, self._number + 1
             self._changed.notify_all()
 
     def close(self) -> None:
-        """End all answers and stop to listen."""
+        """End all answers and stop listening."""
         with self._changed:
             self._open = False
             self._changed.notify_all()
@@ -76,17 +76,16 @@ class PictureServer:
                 head = b"%s\r\nContent-Type: %s\r\nContent-Length: %d\r\n\r\n" % (BOUNDARY, part.kind.encode(), len(part.body))
                 handler.wfile.write(head + part.body + b"\r\n")
         except OSError:
-            pass  # the client has gone, or takes nothing
+            pass  # the client has gone, or does not read
         finally:
             with self._changed:
                 self.clients -= 1
 
 
 def parts(stream: Any, largest: int) -> Iterator[Part]:
-    """The parts of an answer's body as they come, until it ends. stream: with `read` and `readline`. largest: bytes of a picture that are
-    taken at most.
+    """Parts of an answer's body as they arrive, until its end.
 
-    Raises LuxloopError where this is no such answer, and OSError as streams do.
+    stream: with `read` and `readline`. largest: largest picture in bytes. Raises LuxloopError for other answers, and OSError as streams do.
     """
     while (size_and_kind := _head(stream)) is not None:
         size, kind = size_and_kind
@@ -99,7 +98,7 @@ def parts(stream: Any, largest: int) -> Iterator[Part]:
 
 
 def _head(stream: Any) -> tuple[int, str] | None:
-    """Bytes and media type of the next part, None at the end."""
+    """Size in bytes and media type of the next part, None at the end."""
     size, kind, begun = None, JPEG, False
     for _ in range(MOST_LINES):
         line = stream.readline(LONGEST_LINE)
@@ -110,7 +109,7 @@ def _head(stream: Any) -> tuple[int, str] | None:
             if size is None:
                 break
             return size, kind
-        begun = begun or bool(text)  # with the boundary, or without it where a reader has taken that already
+        begun = begun or bool(text)  # with the boundary, or without it if the reader has dropped it
         name, _, value = text.partition(b":")
         if name.lower() == b"content-length" and value.strip().isdigit() and len(value.strip()) < 12:
             size = int(value)

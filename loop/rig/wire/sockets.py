@@ -1,21 +1,22 @@
-"""Sockets at addresses that a user gave, and the refusal of those that cannot be had."""
+"""Sockets at addresses of the user, and errors of addresses that cannot be used."""
 
 import socket
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from collections.abc import Callable, Collection, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Final
+from ipaddress import ip_address
+from urllib.parse import urlsplit
 
 from luxloop.world.errors import LuxloopError
 
-REFUSED: Final = (OSError, OverflowError, UnicodeError, TypeError)  # of a name that is none, a port that is taken or too large
-STALLED_S: Final = 5.0  # after which a client that takes nothing is cut off
+REFUSED = (OSError, OverflowError, UnicodeError, TypeError, ValueError)  # of invalid names, and ports in use or too large
+STALLED_S = 5.0  # time-out of a client that does not read
 
 
 @contextmanager
 def refusing(what: str, remedy: str) -> Iterator[None]:
-    """Raises LuxloopError `what (reason); remedy` where a socket cannot be had."""
+    """Raise LuxloopError `what (reason); remedy` if a socket cannot be opened."""
     try:
         yield
     except REFUSED as error:
@@ -23,17 +24,31 @@ def refusing(what: str, remedy: str) -> Iterator[None]:
 
 
 def listening(key: str, host: str, port: int, remedy: str = "give another port") -> AbstractContextManager[None]:
-    """Raises LuxloopError that names key and address where a socket cannot listen there."""
+    """Raise LuxloopError with key and address if a socket cannot listen there."""
     return refusing(f"{key}: cannot listen on {host}:{port}", remedy)
 
 
 def reaching(key: str, where: str) -> AbstractContextManager[None]:
-    """Raises LuxloopError that names key and address where a socket cannot reach it."""
+    """Raise LuxloopError with key and address if a socket cannot reach it."""
     return refusing(f"{key}: {where} cannot be reached", "check it, and the network")
 
 
+def is_own_host(host: str, names: Collection[str] = ()) -> bool:
+    """Whether a Host header names this machine; a foreign page whose name resolves to this machine has its own name there.
+
+    names: further names of this machine.
+    """
+    try:
+        name = urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return False
+    with suppress(ValueError):
+        return bool(ip_address(name))
+    return name in ("localhost", socket.gethostname().lower(), *names)
+
+
 def udp_listener(key: str, host: str, port: int) -> socket.socket:
-    """A UDP socket that listens; a port of 0 takes a free one. Raises LuxloopError where it cannot be had."""
+    """Listening UDP socket; port 0 is a free port. Raises LuxloopError if it cannot be opened."""
     with ExitStack() as stack, listening(key, host, port):
         found = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         found.bind((host, port))
@@ -42,10 +57,10 @@ def udp_listener(key: str, host: str, port: int) -> socket.socket:
 
 
 def udp_sender(key: str, host: str, port: int) -> socket.socket:
-    """A UDP socket that sends to an address, a broadcast too; nobody need listen there. Raises LuxloopError where there is none."""
+    """UDP socket that sends to an address, broadcast included; a receiver need not exist. Raises LuxloopError if the address is invalid."""
     with reaching(key, host):
         found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
-        where = min(found, key=lambda each: each[0] != socket.AF_INET)  # devices on a network have no IPv6 address as a rule
+        where = min(found, key=lambda each: each[0] != socket.AF_INET)  # devices on a network rarely have an IPv6 address
         sender = socket.socket(where[0], socket.SOCK_DGRAM)
         sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         sender.settimeout(1.0)
@@ -54,9 +69,9 @@ def udp_sender(key: str, host: str, port: int) -> socket.socket:
 
 
 def serve_http(key: str, host: str, port: int, answer: Callable[[BaseHTTPRequestHandler], None]) -> ThreadingHTTPServer:
-    """An HTTP server in threads of its own, which answers each GET; a port of 0 takes a free one.
+    """HTTP server in threads that answers GET requests; port 0 is a free port.
 
-    Raises LuxloopError where the port cannot be had.
+    Raises LuxloopError if the port cannot be opened.
     """
 
     class Handler(BaseHTTPRequestHandler):

@@ -1,1 +1,1 @@
-"""Many copies of one closed loop at once."""
+"""Batches of copies of one closed loop."""

@@ -1,4 +1,4 @@
-"""Copies of one symbol in one standing world: the light of many poses at once, each measured and evaluated as in a single run."""
+"""Copies of one symbol in one standing world: light, measurements and metrics of many poses at once, as in single runs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,13 +30,16 @@ from luxloop.world.spmv import Csr, multiply
 
 Lights = tuple[Utilisation, ...]
 EMPTY = Crop(0, 0, 0, 0)
-MARGIN_PX, MARGIN_TEXELS = 16, 32  # of the parts that are prepared of image and light textures, since poses move on
-TOGETHER = 16  # images that are evaluated at once: more do not fit into the processor's cache
+MARGIN_PX, MARGIN_TEXELS = 16, 32  # margins of the prepared parts of image and light textures, since poses move
+TOGETHER = 16  # images evaluated at once; more do not fit the processor's cache
 TIMES = ("start_s", "stop_s", "indicated", "when", "unless")
 
 
-def check(simulation: Simulation, otherwise: str = "run it one by one") -> None:
-    """Raises LuxloopError unless a held symbol is the only function in a standing world. otherwise: the remedy in the message."""
+ONE_BY_ONE = "run it one by one"
+
+
+def check(simulation: Simulation, otherwise: str = ONE_BY_ONE) -> None:
+    """Raise LuxloopError unless a held symbol is the only function in a standing world. otherwise: the remedy in the message."""
     refuse_scenario(simulation.scenario, otherwise)
     name, world = simulation.scenario.name, simulation.world
     if simulation.planner.commanding:
@@ -47,18 +50,15 @@ def check(simulation: Simulation, otherwise: str = "run it one by one") -> None:
         raise LuxloopError(f"{name}: batches are for scenes in which nothing moves; {otherwise}")
 
 
-ONE_BY_ONE = "run it one by one"
-
-
 def refuse_first(name: str, reasons: Mapping[str, object], otherwise: str = ONE_BY_ONE) -> None:
-    """Raises LuxloopError with the first reason that applies to the scenario of a name; otherwise: the remedy in the message."""
+    """Raise LuxloopError with the first reason that applies to a scenario. otherwise: the remedy in the message."""
     for reason, applies in reasons.items():
         if applies:
             raise LuxloopError(f"{name}: {reason}; leave it out, or {otherwise}")
 
 
 def refuse_scenario(scenario: Scenario, otherwise: str = ONE_BY_ONE) -> None:
-    """The part of `check` that needs only the scenario's keys. Raises LuxloopError as `check`."""
+    """Raise LuxloopError as `check`, as far as the scenario's keys tell."""
     key, lighting, symbol = f"functions.{only(scenario.symbols)}", scenario.lighting, scenario.symbol
     timed = next((each for each in TIMES if getattr(symbol, each) is not None), None)
     reasons = {
@@ -76,7 +76,7 @@ def refuse_scenario(scenario: Scenario, otherwise: str = ONE_BY_ONE) -> None:
 
 @dataclass(frozen=True)
 class Taken:
-    """The frames of a copy: their seed, step and the scenario's disturbances."""
+    """Frames of a copy: their seed and step, and the scenario's disturbances."""
 
     seed: int
     step: int
@@ -85,10 +85,10 @@ class Taken:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """The part of the image that modules light, without the symbol `[h, w]`, and what they need to draw there.
+    """The part `[h, w]` of the image that modules light, and what drawing there needs.
 
-    resting: luminance in cd/m^2. base: that without the lamps. limit: threshold of extraction in cd/m^2. roads: of each module the matrices
-    from its pixels to the crop, on the world's road and on the flat one.
+    resting: luminance in cd/m^2 without the symbol. base: luminance without the lamps. limit: threshold of extraction in cd/m^2. roads:
+    matrices of each module from its pixels to the crop, on the world's road and on the flat road.
     """
 
     crop: Crop
@@ -99,7 +99,7 @@ class Part:
     roads: tuple[tuple[Csr, Csr], ...]
 
     def within(self, crop: Crop) -> tuple[slice, slice]:
-        """Row and column slices of a crop of the image."""
+        """Slices of a crop of the image, relative to this part."""
         return (
             slice(crop.v_start - self.crop.v_start, crop.v_stop - self.crop.v_start),
             slice(crop.u_start - self.crop.u_start, crop.u_stop - self.crop.u_start),
@@ -108,12 +108,12 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class SymbolLight:
-    """Luminances in cd/m^2 that the camera sees of B projections, without noise.
+    """Noise-free luminances in cd/m^2 of B projections.
 
-    part: of the image, with all light of the symbols. footprints: where each is looked for; windows: as large
-    for all, around them, empty for what the camera does not see. added, flat: `[B, h, w]`, what the symbols add
-    there, in the world and on the flat road that the controller assumes. sums: `[B, m, 2]`, flux in lm and sum of utilisations of each of
-    the modules that draw. drawn: utilisations of each copy, `[m]` of the part of each module.
+    part: of the image, with all light of the symbols. footprints: expected crop of each symbol. windows: crops of equal size around the
+    footprints, empty outside the view. added, flat: `[B, h, w]`, luminance that the symbols add on the world's road and on the controller's
+    flat road. sums: `[B, m, 2]`, flux in lm and sum of utilisations of each drawing module. drawn: utilisations of each copy, `[m]` of the
+    part of each module.
     """
 
     projection: ProjectionCommand
@@ -127,9 +127,9 @@ class SymbolLight:
 
 
 class Copies:
-    """Projections of a scenario's only symbol in its standing world. Raises LuxloopError as `check`.
+    """Copies of a scenario's only symbol in its standing world. Raises LuxloopError as `check`.
 
-    The parts of matrices and image that one look needed are kept for the next, and grow.
+    Prepared parts of matrices and image are reused, and grow.
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -145,7 +145,7 @@ class Copies:
         self._part: Part | None = None
 
     def show(self, projection: ProjectionCommand | Tensor) -> SymbolLight:
-        """The light of the symbol for B projections, or for poses `[B, 4]`: x, y in m, roll, pitch in rad."""
+        """Light of the symbol for B projections, or for poses `[B, 4]`: x, y in m, roll, pitch in rad."""
         check_process()
         if isinstance(projection, Tensor):
             projection = ProjectionCommand(projection)
@@ -180,12 +180,12 @@ class Copies:
         return SymbolLight(projection, part, footprints, windows, torch.stack(added), torch.stack(flat), torch.stack(sums), drawn)
 
     def measure(self, light: SymbolLight, frames: Sequence[Taken], *, quantise: bool = True) -> list[Measurement]:
-        """What the symbol's sensor sees of each copy in its own footprint. frames: of each copy. quantise: False leaves digital numbers
-        unrounded, for gradients.
+        """Measurements of each copy in its own footprint. frames: of each copy. quantise: False leaves digital numbers unrounded, for
+        gradients.
         """
         seen = [self.sensor.lost(pose, ExtractionStatus.NOTHING) for pose in light.projection.pose]
         in_view = [k for k, window in enumerate(light.windows) if window != EMPTY]
-        together = 1 if self.sensor.model.eye.plane is not None else TOGETHER  # places on the plane are of one window
+        together = 1 if self.sensor.model.eye.plane is not None else TOGETHER  # plane coordinates are of one window
         for first in range(0, len(in_view), together):
             some = in_view[first : first + together]
             for k, each in zip(some, self._look(light, some, [frames[k] for k in some], quantise), strict=True):
@@ -193,14 +193,14 @@ class Copies:
         return seen
 
     def evaluate(self, light: SymbolLight) -> Metrics:
-        """Metrics `[B]` of the symbol on the road."""
+        """Metrics `[B]` of the symbols on the road."""
         evaluator, crop = self.symbol.evaluator, light.part.crop
         assert evaluator is not None
         found = [evaluate(each, evaluator.plane, evaluator.goal, crop.u_start, crop.v_start) for each in light.added.split(TOGETHER)]
         return Metrics(*(torch.cat(each) for each in zip(*(vars(each).values() for each in found), strict=True)))
 
     def finds_another_road(self, light: SymbolLight, k: int, taken: Taken) -> bool:
-        """Whether a single run finds another road than the plane z = 0 in the frames of the k-th copy, as `Lifting` decides."""
+        """Whether a single run finds another road than the plane z = 0 in the frames of the k-th copy, by the rule of `Lifting`."""
         height, width = self.view.base.shape
         on = self._resting.clone()
         on[light.part.crop.slices] += light.added[k]
@@ -214,13 +214,13 @@ class Copies:
 
     @cached_property
     def _resting(self) -> Tensor:
-        """Luminance `[height, width]` in cd/m^2 of everything but the symbols."""
+        """Luminance `[height, width]` in cd/m^2 without the symbols."""
         return added_light(self.view.transports, self.resting, self.view.base)
 
     def _look(self, light: SymbolLight, chosen: Sequence[int], frames: Sequence[Taken], quantise: bool) -> list[Measurement]:
-        """Measurements of some copies at once: the sensor sees their windows as crops at the place of the first."""
+        """Measurements of some copies at once, their windows taken as crops at the place of the first window."""
         part, windows = light.part, [light.windows[k] for k in chosen]
-        parts, own = [], []  # of each copy: on and off frame, light and threshold of the flat road; its footprint in the window
+        parts, own = [], []  # frames, and flat light with threshold; footprint in the window
         for k, window, taken in zip(chosen, windows, frames, strict=True):
             at, footprint = part.within(window), light.footprints[k].slices
             inside = [
@@ -256,7 +256,7 @@ class Copies:
         ]
 
     def _expose(self, on: Tensor, off: Tensor, base: Tensor, taken: Taken, crop: Crop, quantise: bool = True) -> tuple[Tensor, Tensor]:
-        """On and off frame of luminances `[h, w]` at a crop of the image. base: that without the lamps."""
+        """On and off frames of luminances `[h, w]` at a crop of the image. base: luminance without the lamps."""
         camera, noisy = self.simulation.scenario.camera, taken.disturbances.noise_factor(taken.step)
 
         def frame(number: int, luminance: Tensor) -> Tensor:
@@ -268,7 +268,7 @@ class Copies:
         return frame(0, on), frame(1, off)
 
     def _reach(self, needed: Crop, windows: Sequence[Window | None]) -> Part:
-        """A part of the image that holds a crop, and parts of the modules that hold windows of their light textures; None for the whole."""
+        """Part of the image with a crop, and parts of the modules with windows of their light textures; None for whole textures."""
         old, width = self._part, self.view.base.shape[1]
         if old is not None:
             before = [each.window for each in old.modules]
@@ -296,14 +296,14 @@ class Copies:
 
 
 def same_size(crops: Sequence[Crop], shape: Sequence[int]) -> list[Crop]:
-    """Crops as large for all, around others in an image of a shape; empty ones stay empty."""
+    """Crops of equal size around given crops, within an image of a shape; empty ones stay empty."""
     rows, columns = (max((each.stop - each.start for each in (crop.slices[n] for crop in crops)), default=0) for n in (0, 1))
     places = ((min(each.v_start, shape[0] - rows), min(each.u_start, shape[1] - columns)) for each in crops)
     return [each if each == EMPTY else Crop(v, v + rows, u, u + columns) for each, (v, u) in zip(crops, places, strict=True)]
 
 
 def hull(crops: Sequence[Crop]) -> Crop:
-    """The smallest crop that contains all, an empty one of none."""
+    """Smallest crop that contains all crops; empty without crops."""
     if not crops:
         return EMPTY
     v, v_end, u, u_end = zip(*(vars(each).values() for each in crops), strict=True)
@@ -311,7 +311,7 @@ def hull(crops: Sequence[Crop]) -> Crop:
 
 
 def stack(seen: Sequence[Measurement]) -> Measurement:
-    """Measurements of B copies as one, without their symbol images, which differ in size."""
+    """Measurements of B copies as one, without symbol images, which differ in size."""
     code, errors, pose_error, area_ratio = (
         torch.stack([getattr(each, name) for each in seen]) for name in ("code", "errors", "pose_error", "area_ratio")
     )

@@ -1,4 +1,6 @@
-"""One symbol drawn many times by a module: on a window of its light texture, and on the pixels and part of the image that this reaches."""
+"""One symbol drawn at many poses by a module: on a window of its light texture, and on the pixels and the part of the image that it
+reaches.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,7 +20,7 @@ from luxloop.world.spmv import multiply, numbers, row_of_entries
 
 
 def rays_at(controller: Ssc, primitives: Primitives, T_world_headlight: Tensor) -> RayBatch:
-    """Rays to cast at one primitive in B places `[B, 1]`: at B primitives of one scene, painted apart so that none hides another."""
+    """Rays at one primitive in B poses `[B, 1]`: at B primitives of one scene, painted separately so that none hides another."""
     count = len(primitives.origin)
     each = replace(
         primitives,
@@ -33,9 +35,9 @@ def rays_at(controller: Ssc, primitives: Primitives, T_world_headlight: Tensor) 
 
 @dataclass(frozen=True, eq=False)
 class ModulePart:
-    """Pixels `[m]` of a module that draws, and their utilisations `[m]` at rest.
+    """Pixels `[m]` of a module that draw, and their utilisations `[m]` at rest.
 
-    drawn: from primitives in a window of the light texture to these pixels; None where all pixels count.
+    drawn: from primitives in a window of the light texture to these pixels; None if all pixels draw.
     """
 
     pixels: Tensor
@@ -44,7 +46,7 @@ class ModulePart:
 
     @classmethod
     def of(cls, controller: PixelController, window: Window | None) -> "ModulePart":
-        """The pixels that light a window, over dark pixels; all where there is none."""
+        """Pixels that light a window; all pixels without a window."""
         if window is None:
             return cls(torch.arange(len(controller.default), device=controller.default.device), controller.default, None)
         assert isinstance(controller, Ssc)
@@ -56,7 +58,7 @@ class ModulePart:
         return None if self.drawn is None else self.drawn.window
 
     def crop(self, transport: Transport, width: int) -> Crop:
-        """What its pixels reach of an image of this width."""
+        """Crop that its pixels light in an image of this width."""
         matrix = transport.matrix
         lit = torch.unique_consecutive(row_of_entries(matrix)[numbers(self.pixels, matrix.n_cols)[matrix.indices] >= 0])
         if not len(lit):
@@ -67,14 +69,14 @@ class ModulePart:
 
 
 def utilisations(drawn: WindowedSsc, rays: RayBatch) -> Iterator[Tensor]:
-    """Utilisation `[m]` of the pixels for each of the primitives, as `WindowedSsc.utilisation` of one."""
+    """Utilisations `[m]` of the pixels for each primitive in turn, as `WindowedSsc.utilisation` of one."""
     images = _sampled(drawn, rays) if _plain(drawn, rays) else _painted(drawn, rays)
     for image in images:
         yield multiply(drawn.weight, image.flatten()).clamp(0, 1)
 
 
 def _painted(drawn: WindowedSsc, rays: RayBatch) -> Iterator[Tensor]:
-    """Setpoints `[rows, cols]` of the window for each of the primitives, by rays of any kind, and with gradients."""
+    """Setpoints `[rows, cols]` of the window for each primitive in turn, by rays of any kind, with gradients."""
     height, width = (each.stop - each.start for each in drawn.window.slices)
     strokes = rays.strokes()
     for window in rays.windows:
@@ -86,7 +88,7 @@ def _painted(drawn: WindowedSsc, rays: RayBatch) -> Iterator[Tensor]:
 
 
 def _plain(drawn: WindowedSsc, rays: RayBatch) -> bool:
-    """Whether the setpoints are samples of one image, all seen from the front, without gradients."""
+    """Whether the setpoints sample one image, seen from the front, without gradients."""
     primitives = rays.primitives
     image = primitives.image_of(0)
     sampled = image.dim() == 2 and image.numel() > 1 and not bool(primitives.nearest[0]) and primitives.observer is None
@@ -95,12 +97,12 @@ def _plain(drawn: WindowedSsc, rays: RayBatch) -> bool:
 
 
 def _sampled(drawn: WindowedSsc, rays: RayBatch) -> Iterator[Tensor]:
-    """The same in few passes over bands of rows, each no wider than the primitive is there. One image is given again and again."""
+    """Setpoints `[rows, cols]` of the window for each primitive in turn, in few passes over bands of rows. The image yielded is reused."""
     grid, primitives, window = rays.grid, rays.primitives, drawn.window
     y, z = grid.tangents(primitives.origin.dtype, primitives.origin.device)
     products = torch.cat([rays.seen.n[:, None], rays.seen.uv], 1)[..., None]  # [B, 3, 3, 1]: d.n, and twice u d.n and v d.n
     rows, cols = products[:, :, 0] + products[:, :, 2] * z, products[:, :, 1] * y  # [B, 3, R], [B, 3, C]
-    symbol, value = primitives.image_of(0)[None, None], float(primitives.value[0])  # the same of all
+    symbol, value = primitives.image_of(0)[None, None], float(primitives.value[0])  # common to all
     image = drawn.ssc.default.new_zeros(*(each.stop - each.start for each in window.slices))
     for k, bands in enumerate(row_bands(primitives, grid, rays.T_world_headlight, rays.windows)):
         for band in bands:

@@ -1,4 +1,4 @@
-"""One law for the loops of B copies, and rollouts of many sets of gains at once, differentiable from gains to errors."""
+"""A control law for B copies, and rollouts of many sets of gains at once, differentiable from gains to errors."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, replace
@@ -22,9 +22,9 @@ from luxloop.perception.appearance import DEGREES
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError, did_you_mean
 
-Look = Callable[[ProjectionCommand, int], Measurement]  # at B projections in a step
+Look = Callable[[ProjectionCommand, int], Measurement]  # measurement of B projections in a step
 
-# Keys of thesis_pid that are tensors in its law: the gains' field, which of the loops, and the key's unit in theirs.
+# Tunable keys of thesis_pid: field of the gains, loops, and the key's unit in the field's unit.
 GAINS: dict[str, tuple[str, tuple[int, ...], float]] = {
     **{
         f"controller.{kind}.{key}": (field, tuple(i for i, each in enumerate(DEGREES) if each.unit == unit), 1.0)
@@ -36,7 +36,7 @@ GAINS: dict[str, tuple[str, tuple[int, ...], float]] = {
 
 
 def check(simulation: Simulation, keys: Any) -> None:
-    """Raises LuxloopError if a scenario cannot be rolled out in batches, or has no gains of these keys."""
+    """Raise LuxloopError if a scenario cannot be rolled out in batches, or has no gains of these keys."""
     copies.check(simulation, "tune without --gradient")
     scenario, controller = simulation.scenario, simulation.symbol.params
     if not isinstance(controller, ThesisPidParams):
@@ -54,15 +54,15 @@ def check(simulation: Simulation, keys: Any) -> None:
 
 
 def _gain(key: str) -> str:
-    """A key of the controller without the name of its function."""
+    """Key of the controller without the name of its function."""
     return key[max(key.find("controller."), 0) :]
 
 
 def rollouts(simulation: Simulation, values: dict[str, Tensor], *, quantise: bool = True) -> Rollout:
-    """Run a standing scenario with thesis_pid for B sets of gains. values: `[B]` by keys of GAINS, in their units.
+    """Runs of a standing scenario with thesis_pid for B sets of gains. values: `[B]` by keys of GAINS, in their units.
 
-    All have the noise of a single run. quantise: False leaves digital numbers unrounded, for gradients; use edges = "soft" with it.
-    Raises LuxloopError as `check`.
+    All have the noise of a single run. quantise: False leaves digital numbers unrounded, for gradients; use edges = "soft" with it. Raises
+    LuxloopError as `check`.
     """
     check(simulation, values)
     many, seed, disturbances = Copies(simulation), simulation.scenario.seed, simulation.scenario.disturbances
@@ -75,8 +75,8 @@ def rollouts(simulation: Simulation, values: dict[str, Tensor], *, quantise: boo
 
 
 def rollouts_by(look: Look, simulation: Simulation, values: dict[str, Tensor]) -> Rollout:
-    """The same with another measurement."""
-    assert isinstance(simulation.symbol.controller, Lifting)  # of which a batch needs nothing: nothing is searched for
+    """Runs as of `rollouts` with another measurement."""
+    assert isinstance(simulation.symbol.controller, Lifting)  # without search for another road
     law = with_gains(simulation.symbol.controller.inner, values)
     (batch,) = {len(value) for value in values.values()}
     start = simulation.symbol.start().controller.inner.pid.output.expand(batch, -1).to(next(iter(values.values())))
@@ -88,7 +88,7 @@ def rollouts_by(look: Look, simulation: Simulation, values: dict[str, Tensor]) -
 
 
 def loops(law: SymbolController, simulation: Simulation, start: Tensor, look: Look) -> Iterator[tuple[ProjectionCommand, Measurement]]:
-    """What B copies show from start poses `[B, 4]` on in each step of a scenario, and the measurement that comes in it."""
+    """Projections of B copies from start poses `[B, 4]` on in each step of a scenario, and the measurement that arrives in it."""
     state, late, looks = law.start(start), simulation.scenario.camera.latency_steps, list[Measurement]()
     for step in range(simulation.scenario.steps):
         projection = law.projection(state, None)
@@ -100,7 +100,7 @@ def loops(law: SymbolController, simulation: Simulation, start: Tensor, look: Lo
 
 
 def with_gains(controller: Any, values: dict[str, Tensor]) -> ThesisPid:
-    """thesis_pid with gains `[B, 4]`, of `values` where they have the key."""
+    """thesis_pid with the gains `[B, 4]` in `values`, else its own."""
     gains = controller.gains
     for key, value in values.items():
         name, axes, unit = GAINS[_gain(key)]
@@ -113,7 +113,7 @@ def with_gains(controller: Any, values: dict[str, Tensor]) -> ThesisPid:
 
 
 def stack_laws(controllers: Sequence[SymbolController]) -> SymbolController:
-    """One law of controllers of one kind, lifted or not, with the values of each in a row `[B, ...]`."""
+    """One law from controllers of one kind, lifted or not, with the values of each in a row `[B, ...]`."""
     laws: list[Any] = [each.inner if isinstance(each, Lifting) else each for each in controllers]
     first = laws[0]
 
@@ -131,7 +131,7 @@ def stack_laws(controllers: Sequence[SymbolController]) -> SymbolController:
 
 
 def choose(chosen: Tensor, new: Any, old: Any) -> Any:
-    """Rows of two values with tensors `[B, ...]`: those of `new` where chosen `[B]` is True, else those of `old`."""
+    """Rows of two values with tensors `[B, ...]`: of `new` where chosen `[B]` is True, else of `old`."""
     if isinstance(new, Tensor):
         return torch.where(chosen.view(-1, *[1] * (new.dim() - 1)), new, old)
     if not hasattr(new, "__dataclass_fields__"):

@@ -1,1 +1,1 @@
-"""Contracts of what users write, each as a check that runs it on a small simulated world and says in a sentence what is wrong."""
+"""Contracts of users' own classes: each check runs a class in a small simulated world and names the mistake in a sentence."""

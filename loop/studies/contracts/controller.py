@@ -1,4 +1,4 @@
-"""The contract of a symbol controller of the user's own."""
+"""Contract of a user's own symbol controller."""
 
 import math
 from collections.abc import Mapping
@@ -32,34 +32,33 @@ image = "snowflake"
 start = { x_m = 17.4, y_m = 0.3, roll_deg = 2.0, pitch_deg = -1.0 }
 controller = "open"
 """
-FARTHEST_M = (100.0, 20.0)  # ahead and to each side: what a scenario's start may be
+FARTHEST_M = (100.0, 20.0)  # ahead and to each side, the limits of a scenario's start
 STEEPEST = math.radians(45)
 REMEDY = (
     "subtract a share of observation.measurement.pose_error, the pose less its target in m and rad; "
     "observation.measurement.errors are in units of the image"
 )
-LOST_AFTER = (0, 4)  # steps; at each of them the symbol is lost as well
-DRIVES_AFTER = 2  # steps, of which one is also taken on a car that moves
-SENSED: dict[Sensor, list[float]] = {  # of that car
+LOST_AFTER = (0, 4)  # steps that are repeated with a lost symbol
+DRIVES_AFTER = 2  # step that is repeated on a moving car
+SENSED: dict[Sensor, list[float]] = {  # samples of the moving car
     "wheels": [10.0, 10.1],
     "gyro": [0.01, 0.02, 0.1],
     "attitude": [0.005, 0.002, 0.003, 0.02, 0.01, 0.001, 0.02, 0.002],
 }
-AWAY = 1.5  # times as far from the target as at the start, and some noise
+AWAY = 1.5  # largest final distance from the target relative to the start, for noise
 
 
 def check_controller(controller: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
     """Check your own symbol controller against the contract of `luxloop.SymbolController`, in a few seconds.
 
-    controller: the class, of which a scenario makes `controller(sensor, **options)`. A class and not an instance, since an instance has
-    the sensor of another scenario, and since making it belongs to the contract; a class and not its name, so that it can be checked where
-    it is written, in a notebook or in a test. options: those of the scenario. device: "auto", "cpu" or "cuda".
+    controller: the class, from which a scenario makes `controller(sensor, **options)`; an instance would have another scenario's sensor.
+    options: those of the scenario. device: "auto", "cpu" or "cuda".
 
-    It runs for 8 steps on a flat road, seen by a camera of 320 x 180 px, and in some of them also without frames, with frames that do not
-    show the symbol, and on a car that moves, with its attitude and rates and where nothing measures these (NaN). Raises LuxloopError with
-    the likely cause and the remedy where a method is missing or fails, changes what it was given, or gives something else for the same
-    input; where a state is no data; where a projection has another shape, dtype or device than the pose `[4]` that `start` is given, is not
-    finite, or not in m and rad; and where the symbol is moved away from its target.
+    The check runs 8 steps on a flat road with a camera of 320 x 180 px; some steps are repeated without frames, with frames that do not
+    show the symbol, and on a moving car, with measured attitude and rates and without (NaN). Raises LuxloopError with likely cause and
+    remedy if a method is missing, fails, changes its arguments, or gives different results for the same arguments; if a state is no data;
+    if a projection differs from the start pose `[4]` in shape, dtype or device, is not finite, or not in m and rad; and if the symbol moves
+    away from its target.
     """
     simulation = world(SCENARIO, device)
     symbol = simulation.symbol
@@ -77,7 +76,7 @@ def check_controller(controller: type, options: Mapping[str, Any] | None = None,
 
 @dataclass(frozen=True)
 class CheckState:
-    """inner: the controller's state. steps: how many there were."""
+    """State of a checked controller: its own state, and the number of steps so far."""
 
     inner: Any
     steps: int = 0
@@ -85,24 +84,24 @@ class CheckState:
 
 @dataclass(frozen=True)
 class CheckController:
-    """The controller in the simulation, of which each call is checked."""
+    """A controller whose calls are checked."""
 
     own: Guard
     symbol: ControlledSymbol
 
     def start(self, pose: Tensor) -> CheckState:
-        """The controller's state, which is data."""
+        """Initial state of the controller, checked to be data."""
         return CheckState(pure_state(self.own, "start", {"pose": pose}))
 
     def projection(self, state: CheckState, ego: Ego | None) -> ProjectionCommand:
-        """The controller's projection command, with a pose in reach."""
+        """Projection command of the controller, checked to be within reach."""
         projection = pure(self.own, "projection", {"state": state.inner, "ego": ego}, "projection")
         with locate(f"{self.own.key}: {self.own.name}: projection"):
             self._check(projection)
         return projection
 
     def step(self, state: CheckState, observation: Observation) -> CheckState:
-        """The controller's state after an observation. In some steps it is also shown nothing, and goes on from there."""
+        """State after an observation; some steps are repeated with a lost symbol or on a moving car."""
         after = self._step(state, observation)
         if state.steps in LOST_AFTER and observation.frames is not None:
             for situation, lost in self._lost(observation, observation.frames).items():
@@ -130,7 +129,7 @@ class CheckController:
         return CheckState(pure_state(self.own, "step", {"state": state.inner, "observation": observation}), state.steps + 1)
 
     def _lost(self, observation: Observation, frames: Images) -> dict[str, Observation]:
-        """Observations of the same light where the camera lost the frames, and where these do not show it."""
+        """Observations of the same light without frames, and with frames that do not show it."""
         sensor, shown, dark = self.symbol.sensor, observation.shown, (frames[1], frames[1])
         no_frame, nothing = (sensor.measure(each, shown.projection, shown.lights) for each in (None, dark))
         return {
@@ -139,7 +138,7 @@ class CheckController:
         }
 
     def _check(self, projection: Any) -> None:
-        """Raises LuxloopError where a projection is none that can be shown."""
+        """Raise LuxloopError if a projection cannot be shown."""
         if not isinstance(projection, ProjectionCommand):
             raise LuxloopError(f"gives a {type(projection).__name__}; return luxloop.ProjectionCommand(pose), with the pose [4]")
         like = self.symbol.projector.target

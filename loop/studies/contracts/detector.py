@@ -1,4 +1,4 @@
-"""The contract of a detector of the user's own."""
+"""Contract of a user's own detector."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -33,20 +33,20 @@ name = "car"
 appears_s = 0.05
 track = [{ position_m = [28.0, -2.0, 0.0], yaw_deg = 180.0 }]
 """
-ROUNDING = 0.02  # px and score by which what is found may differ in another batch: kernels add in another order
+ROUNDING = 0.02  # accepted difference in px and score between batches: kernels add in another order
 
 
 def check_detector(detector: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
     """Check your own detector against the contract of `[detector]`, in a few seconds.
 
-    detector: the class, of which a scenario makes `detector(device, **options)`; see `check_controller` for why it is the class. options:
-    those of `[detector]`. device: "auto", "cpu" or "cuda", on which it is made and gets its frames.
+    detector: the class, from which a scenario makes `detector(device, **options)`. options: those of `[detector]`. device: "auto", "cpu" or
+    "cuda", of the detector and its frames.
 
-    It looks at frames `[B, 360, 640]` of a road, dark, in the high beam, and with a pedestrian and a car on it, one by one and in batches.
-    Raises LuxloopError with the likely cause and the remedy where `detect` or `classes` is missing or wrong; where it fails, changes the
-    frames, or gives something else for the same frames, or for a frame in another batch; where it does not give one `Detections` a frame of
-    finite boxes `[n, 4]` (left, top, right, bottom, in px, their middle in the frame) and scores `[n, classes]` of 0..1. Warns where a
-    detector of pedestrians or cars finds nothing.
+    The check detects in frames `[B, 360, 640]` of a road, dark, in the high beam, and with a pedestrian and a car, one by one and in
+    batches. Raises LuxloopError with likely cause and remedy if `detect` or `classes` is missing or wrong; if it fails, changes the frames,
+    or gives different results for the same frame or in another batch; if it does not return one `Detections` per frame with finite boxes
+    `[n, 4]` (left, top, right, bottom in px, centred in the frame) and scores `[n, classes]` in 0..1. Warns if a detector of pedestrians or
+    cars finds nothing.
     """
     found_by = build_part(
         detector,
@@ -73,7 +73,7 @@ def check_detector(detector: type, options: Mapping[str, Any] | None = None, dev
 
 @cache
 def _frames(device: str) -> Tensor:
-    """`[3, height, width]` as a detector gets them: a dark road, the same in the high beam, and with objects on it."""
+    """Frames `[3, height, width]` in 0..1: a dark road, the same in the high beam, and with objects."""
     found = []
     for beam, steps in (("off", [0]), ("high", [0, 1])):
         simulation = world(SCENARIO, device, f"lighting.base.beam={beam}")
@@ -82,11 +82,11 @@ def _frames(device: str) -> Tensor:
 
 
 def _detect(detector: CheckedDetector, frames: Tensor) -> Sequence[Detections]:
-    """What a detector finds. Raises LuxloopError where that is none, or not the same again."""
+    """Checked detections. Raises LuxloopError if they are invalid or not reproducible."""
     return detector.check(pure(detector.own, "detect", {"frames": frames}, "detections"), frames)
 
 
 def _alike(one: Detections, other: Detections) -> bool:
-    """Up to rounding, whatever their order."""
+    """Whether detections agree up to rounding, in any order."""
     rows = [sorted(torch.cat([each.boxes.cpu(), each.scores.cpu()], 1).double().round(decimals=2).tolist()) for each in (one, other)]
     return len(rows[0]) == len(rows[1]) and bool(((torch.tensor(rows[0]) - torch.tensor(rows[1])).abs() <= ROUNDING).all())

@@ -1,4 +1,4 @@
-"""The contract of a lighting function of the user's own."""
+"""Contract of a user's own lighting function."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -45,15 +45,15 @@ track = [{ position_m = [28.0, -2.0, 0.0], yaw_deg = 180.0 }]
 def check_function(function: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
     """Check your own lighting function against the contract of `[functions.NAME]`, in a few seconds.
 
-    function: the class, of which a scenario makes `function(**options)`; see `check_controller` for why it is the class. options: those of
-    `[functions.NAME]`. device: "auto", "cpu" or "cuda", of the lamps; a situation lies on the CPU.
+    function: the class, from which a scenario makes `function(**options)`. options: those of `[functions.NAME]`. device: "auto", "cpu" or
+    "cuda", of the lamps; a situation lies on the CPU.
 
-    It runs for 5 steps at 10 Hz: the car stands on an empty road, then drives round a bend at 20 m/s, then straight on at 10 m/s in the
-    rain under street lamps; a pedestrian and another car are there from the second step to the fourth. In each step it is also told of no
-    objects. Raises LuxloopError with the likely cause and the remedy where `primitives`, `commands` if it has that, or one of `start`,
-    `step`, `adapted` and `base_share` of a function that learns, is missing or fails, changes what it was given, or gives something else
-    for the same input; where a state is no data, or a share of the base beam is not within 0..1; where it does not give a list of what
-    `rectangle` makes, finite and with possible setpoints; and where nothing that it draws changes the light.
+    The check runs 5 steps at 10 Hz: the car stands on an empty road, then drives round a bend, wet and under street lamps from 0.2 s on; a
+    pedestrian and another car exist from the second step to the fourth. Each step is repeated without objects. Raises LuxloopError with
+    likely cause and remedy if `primitives`, `commands` if defined, or one of `start`, `step`, `adapted` and `base_share` of an adaptive
+    function is missing, fails, changes its arguments, or gives different results for the same arguments; if a state is no data, or a share
+    of the base beam is not within 0..1; if the result is no list of primitives from `rectangle`, finite and with possible setpoints; and if
+    no primitive changes the light.
     """
     name, simulation = name_of(function), world(SCENARIO, device)
     with locate("check_function"):
@@ -85,32 +85,32 @@ def _steps(simulation: Simulation) -> list[StepResult]:
 
 
 class WatchedFunction(CheckedFunction):
-    """The function in the simulation, of which each call is checked."""
+    """A lighting function whose calls are checked."""
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        """The function's primitives."""
+        """Checked primitives."""
         return _twice(lambda now: check_primitives(pure(self.own, "primitives", {"now": now}, "primitives"), self.own, "primitives"), now)
 
 
 class WatchedAdaptive(CheckedAdaptive):
-    """The same of a function that learns."""
+    """An adaptive lighting function whose calls are checked."""
 
     def start(self) -> Any:
-        """The function's state, which is data."""
+        """Initial state, checked to be data."""
         return pure_state(self.own, "start", {})
 
     def step(self, state: Any, now: Situation) -> Any:
-        """The function's state after a frame, which is data."""
+        """State after a frame, checked to be data."""
         return _twice(lambda now: pure_state(self.own, "step", {"state": state, "now": now}), now)
 
     def adapted(self, state: Any, now: Situation) -> tuple[Primitives, ...]:
-        """The function's primitives."""
+        """Checked primitives."""
         own = self.own
         return _twice(lambda now: check_primitives(pure(own, "adapted", {"state": state, "now": now}, "primitives"), own, "adapted"), now)
 
 
 def _twice(call: Callable[[Situation], Result], now: Situation) -> Result:
-    """What a call gives for a situation; it is made for the same one without objects, too."""
+    """Result of a call, which is repeated without objects."""
     with locate("where now.objects is empty"):
         call(replace(now, objects=()))
     return call(now)

@@ -1,4 +1,4 @@
-"""The contract of a plant of the user's own."""
+"""Contract of a user's own plant."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,8 +18,8 @@ from luxloop.world.plugin import Guard, construct
 
 CALLS = {"start": (), "show": ("state", "exposure")}
 GIVES = "(state, arrivals)"
-EXPOSURES = 24  # more than those of the 10 steps by which the frames of a scenario's camera may be late
-UNDER_WAY = 4  # more than those of a step by which they are late, so that some come that a state must have held
+EXPOSURES = 24  # more than those of 10 steps, the largest latency of a scenario's camera
+UNDER_WAY = 4  # more than those of a step of latency, so that frames pass through the state
 SCENARIO = """
 name = "check_plant"
 camera = { width_px = 320, height_px = 180, oversampling = 1 }
@@ -32,16 +32,15 @@ functions.symbol = { kind = "symbol", image = "snowflake", controller = "open" }
 def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
     """Check your own plant against the contract of `[plant]`, in a few seconds.
 
-    plant: the class, of which a scenario makes `plant(scenario, modules, **options)`; see `check_controller` for why it is the class.
-    options: those of `[plant]`. device: "auto", "cpu" or "cuda".
+    plant: the class, from which a scenario makes `plant(scenario, modules, **options)`. options: those of `[plant]`. device: "auto", "cpu"
+    or "cuda".
 
-    It shows 24 exposures of 1/60 s, with and without a symbol in turn, to a camera of 320 x 180 px: each of them twice from the same state,
-    and once more from that state at the end; then four more in a world whose camera is a step late, so that a plant that wraps
-    `simulated_plant` must hand its state on. Raises LuxloopError with the likely cause and the remedy where a method is missing or fails,
-    changes what it was given, or gives something else for the same state and exposure; where a state is no data; where its time does not go
-    on; where a frame is of no exposure that was shown, comes twice or out of order, or has times that contradict each other; where an image
-    is no tensor `[height, width]` of whole digital numbers within `camera.bits`; where a sample is of no sensor that there is, or has other
-    values than that; and where no frame comes at all.
+    The check shows 24 exposures of 1/60 s, alternately with and without a symbol, to a camera of 320 x 180 px: each twice from the same
+    state, and once more from that state at the end; then four more in a world whose camera is a step late, so that a plant that wraps
+    `simulated_plant` must pass its state on. Raises LuxloopError with likely cause and remedy if a method is missing, fails, changes its
+    arguments, or gives different results for the same state and exposure; if a state is no data; if time does not advance; if a frame
+    belongs to no exposure, comes twice or out of order, or has contradictory times; if an image is no tensor `[height, width]` of whole
+    digital numbers within `camera.bits`; if a sample has an unknown sensor, or a wrong number of values; and if no frame arrives.
     """
     for late, exposures in enumerate((EXPOSURES, UNDER_WAY)):
         simulation = world(SCENARIO, device, f"camera.latency_steps={late}")
@@ -55,7 +54,7 @@ def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: s
 
 
 def _check_shows(own: Guard, simulation: Simulation, exposures: int) -> None:
-    """Raises LuxloopError as `check_plant`, for a plant in one world and a number of exposures."""
+    """Check a plant in one world with a number of exposures. Raises LuxloopError as `check_plant`."""
     shown: list[Show] = []
     projector, scenario = simulation.symbol.projector, simulation.scenario
     state, arrivals = _give(own, "start", {}, shown, simulation)
@@ -78,7 +77,7 @@ def _check_shows(own: Guard, simulation: Simulation, exposures: int) -> None:
 
 @dataclass(frozen=True)
 class Show:
-    """An exposure, the state before it, and what came: arrivals, and the parts of all that the plant gave."""
+    """An exposure, the state before it, the arrivals, and a copy of everything the plant returned."""
 
     state: Any
     exposure: Exposure
@@ -87,7 +86,7 @@ class Show:
 
 
 def _give(own: Guard, method: str, inputs: Mapping[str, Any], shown: Sequence[Show], simulation: Simulation) -> tuple[Any, Arrivals]:
-    """State and arrivals of a call after what was shown. Raises LuxloopError where these cannot be."""
+    """Checked state and arrivals of a call. shown: earlier exposures. Raises LuxloopError if they are impossible."""
     camera, like, exposure = simulation.scenario.camera, simulation.symbol.projector.target, inputs.get("exposure")
     gave = pure(own, method, inputs, GIVES)
     with locate(f"{own.key}: {own.name}: {method}"):
@@ -105,7 +104,7 @@ def _give(own: Guard, method: str, inputs: Mapping[str, Any], shown: Sequence[Sh
 
 
 def _check_number(number: int, exposures: int, came: Sequence[int]) -> None:
-    """exposures: how many were shown, numbered from 0. came: numbers of the frames before."""
+    """Check the number of a frame. exposures: number of exposures so far. came: numbers of earlier frames."""
     if not 0 <= number < exposures:
         raise LuxloopError(f"gives a frame of exposure {number!r}, which was not shown; number it as its exposure, exposure.number")
     if number in came:

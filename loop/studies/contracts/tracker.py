@@ -1,4 +1,4 @@
-"""The contract of a tracker of the user's own."""
+"""Contract of a user's own tracker."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -39,20 +39,20 @@ kind = "car"
 name = "car"
 path = { points_m = [[32.0, -3.0, 0.0], [10.0, -3.0, 0.0]], speed_m_s = 4.0 }
 """
-EMPTY_AFTER = (1, 6)  # frames; after each of them a frame without detections is tried as well
+EMPTY_AFTER = (1, 6)  # frames after which a frame without detections is tried
 
 
 def check_tracker(tracker: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
-    """Check a tracker of your own against the contract of `[tracker]`, in a few seconds.
+    """Check your own tracker against the contract of `[tracker]`, in a few seconds.
 
-    tracker: the class, of which a scenario makes `tracker(classes, view, **options)`; see `check_controller` for why it is the class.
-    options: those of `[tracker]`. device: "auto", "cpu" or "cuda", on which detections and frames lie.
+    tracker: the class, from which a scenario makes `tracker(classes, view, **options)`. options: those of `[tracker]`. device: "auto",
+    "cpu" or "cuda", of detections and frames.
 
-    It follows 12 frames `[180, 320]` at 10 Hz with detections of score 1: a car that approaches, and beside it a pedestrian from the fourth
-    frame to the tenth. After some of them a frame without detections is tried as well. Raises LuxloopError with the likely cause and the
-    remedy where a method is missing or fails, changes what it was given, or gives something else for the same input; where a state is no
-    data; where a report has other shapes or dtypes than `TrackedBoxes`, or values that are not finite; and where an object's number changes
-    or becomes another object's. Warns where nothing is reported.
+    The check follows 12 frames `[180, 320]` at 10 Hz with detections of score 1: an approaching car, and a pedestrian from the fourth frame
+    to the tenth. After some frames it tries a frame without detections. Raises LuxloopError with likely cause and remedy if a method is
+    missing, fails, changes its arguments, or gives different results for the same arguments; if a state is no data; if a report's shapes or
+    dtypes differ from those of `TrackedBoxes`, or values are not finite; and if an object's number changes or becomes another object's.
+    Warns if nothing is reported.
     """
     view, classes, frames = _frames(device)
     params = dict(options or {})
@@ -85,7 +85,7 @@ def check_tracker(tracker: type, options: Mapping[str, Any] | None = None, devic
 
 @dataclass(frozen=True, eq=False)
 class DetectionFrame:
-    """A frame `[height, width]` as a tracker gets it, when it was taken, and what was found in it."""
+    """A tracker's frame `[height, width]`, its time, and its detections."""
 
     image: Tensor
     time_s: float
@@ -105,7 +105,7 @@ def _frames(device: str) -> tuple[View, tuple[Category, ...], Sequence[Detection
 
 
 def _follow(tracker: CheckedTracker, state: Any, found: Detections, seen: DetectionFrame) -> Any:
-    """The state after a frame, of which it is reported then and later."""
+    """State after a frame, with reports at the frame's time and later."""
     after = pure_state(tracker.own, "follow", {"state": state, "found": found, "frame": seen.image, "time_s": seen.time_s})
     for time_s in (seen.time_s, seen.time_s + 1 / RATE_HZ):
         _report(tracker, after, time_s)
@@ -117,6 +117,6 @@ def _report(tracker: CheckedTracker, state: Any, time_s: float) -> TrackedBoxes:
 
 
 def _numbers(found: Detections, told: TrackedBoxes, classes: Sequence[Category]) -> dict[str, int]:
-    """Numbers of the tracks that show what was found, by its class."""
+    """Track numbers of the detected objects, by class."""
     present, boxes = told.present, found.boxes.double().cpu()
     return {classes[int(found.scores[i].argmax())]: int(present.number[j]) for i, j in pairs(boxes, present.boxes)}

@@ -1,4 +1,4 @@
-"""Pure calls: a state is data, inputs stay as they are, and the same inputs give the same bits."""
+"""Pure calls: a state is data, arguments stay unchanged, and the same arguments give the same bits."""
 
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
@@ -24,28 +24,28 @@ from luxloop.world.plugin import Guard, Name, check_methods
 
 DATA = (Tensor, np.ndarray, np.generic, bool, int, float, complex, str, bytes, type(None), Enum, Path, torch.device, torch.dtype)
 Part = TypeVar("Part")
-Parts = dict[str, Any]  # what a value consists of, by its place: "state.gains[0]"
+Parts = dict[str, Any]  # leaves of a value by their path, such as "state.gains[0]"
 
 
-@lru_cache(1)  # half a gigabyte; calls of a contract that share one follow each other
+@lru_cache(1)  # half a gigabyte; calls for the same world are consecutive
 def world(scenario: str, device: str, *overrides: str) -> Simulation:
-    """The small simulated world of a contract. scenario: in TOML. overrides: changes of its keys, as KEY=VALUE."""
+    """Small simulated world of a contract. scenario: TOML. overrides: changes of its keys, as KEY=VALUE."""
     data = tomllib.loads(scenario)
     return prepare(validate(overridden(data, overrides), data["name"]), device)
 
 
 def name_of(made_by: type) -> Name:
-    """As a scenario would name a class. Raises LuxloopError where it is none."""
+    """Name of a class in a scenario. Raises LuxloopError if it is no class."""
     if not isinstance(made_by, type):
         raise LuxloopError(f"{made_by!r} is not a class; give the class itself, such as Mine, and its options as a second value")
     return Name(f"{made_by.__module__}:{made_by.__name__}")
 
 
 def build_part(made_by: type, key: str, calls: Mapping[str, tuple[str, ...]], make: Callable[[Name], Part]) -> Part:
-    """What `make` builds of a class, given its name in a scenario: a guarded part, or a wrapper that has one as `own`.
+    """Part that `make` builds from a class's name: a guarded part, or a wrapper with one as `own`.
 
-    key: of the scenario, for messages. calls: the values with which each of its methods is called, by their names. Raises LuxloopError
-    where it is no class, lacks a method, cannot be made or takes other values.
+    key: of the scenario, for messages. calls: arguments of each method, by its name. Raises LuxloopError if it is no class, lacks a method,
+    cannot be made, or takes other arguments.
     """
     name = name_of(made_by)
     check_methods(made_by, f"{key}: {name}", tuple(calls))
@@ -55,7 +55,7 @@ def build_part(made_by: type, key: str, calls: Mapping[str, tuple[str, ...]], ma
 
 
 def check_calls(own: Guard, calls: Mapping[str, tuple[str, ...]]) -> None:
-    """Raises LuxloopError where a method does not take the values with which it is called."""
+    """Raise LuxloopError if a method does not take the arguments of its calls."""
     for method, values in calls.items():
         takes = signature(getattr(own.part, method))
         try:
@@ -66,16 +66,16 @@ def check_calls(own: Guard, calls: Mapping[str, tuple[str, ...]]) -> None:
 
 
 def pure_state(own: Guard, method: str, inputs: Mapping[str, Any]) -> Any:
-    """The state that a method gives, as `pure`. Raises LuxloopError where it holds anything but data, too."""
+    """State from a method, called as by `pure`. Raises LuxloopError as `pure`, and if the state is no data."""
     state = pure(own, method, inputs, "state")
     check_state(own, method, state)
     return state
 
 
 def pure(own: Guard, method: str, inputs: Mapping[str, Any], gives: str) -> Any:
-    """What a method gives for inputs; gives: what that is called.
+    """Result of a method. gives: name of the result.
 
-    Raises LuxloopError where the method changes an input, or gives something else for the same inputs once more.
+    Raises LuxloopError if the method changes an argument, or gives different results for the same arguments.
     """
     where, call = f"{own.key}: {own.name}: {method}", getattr(own, method)
     before = copy_parts(inputs)
@@ -98,7 +98,7 @@ def pure(own: Guard, method: str, inputs: Mapping[str, Any], gives: str) -> Any:
 
 
 def check_state(own: Guard, method: str, state: Any) -> None:
-    """Raises LuxloopError where a state holds anything but data, so that it cannot be saved and taken up elsewhere."""
+    """Raise LuxloopError if a state holds anything but data, and so cannot be saved and restored."""
     for place, part in _parts(state, "state"):
         if not isinstance(part, DATA):
             raise LuxloopError(
@@ -108,7 +108,7 @@ def check_state(own: Guard, method: str, state: Any) -> None:
 
 
 def check_tensor(value: Any, like: Tensor, shape: tuple[int, ...], what: str) -> None:
-    """Raises LuxloopError where a value is no finite tensor of that shape, and of the dtype and on the device of another."""
+    """Raise LuxloopError if a value is no finite tensor of a shape, and of the dtype and device of another tensor."""
     wanted = f"a tensor {_description(like.dtype, shape, like.device)}"
     if not isinstance(value, Tensor):
         raise LuxloopError(f"{what} is {_kind(value)}; it must be {wanted}")
@@ -134,7 +134,7 @@ def _kind(value: Any) -> str:
 
 
 def _parts(value: Any, place: str) -> Iterator[tuple[str, Any]]:
-    """What a value consists of; what is neither data nor holds any is a part itself."""
+    """Leaves of a value with their paths; anything but a known container is a leaf."""
     inner: Mapping[Any, Any] | None = None
     if is_dataclass(value) and not isinstance(value, type):
         inner = {f".{field.name}": getattr(value, field.name) for field in fields(value)}
@@ -154,7 +154,7 @@ def _parts(value: Any, place: str) -> Iterator[tuple[str, Any]]:
 
 
 def copy_parts(value: Any, place: str = "") -> Parts:
-    """The parts of a value as they are now; place: what it is called."""
+    """Copies of a value's leaves. place: name of the value."""
     return {
         name: part.clone() if isinstance(part, Tensor) else part.copy() if isinstance(part, np.ndarray) else part
         for name, part in _parts(value, place)
@@ -162,13 +162,13 @@ def copy_parts(value: Any, place: str = "") -> Parts:
 
 
 def difference(before: Parts, value: Any, place: str = "") -> str | None:
-    """The first place at which a value differs from what was copied before; place: what it is called, as then."""
+    """Path of the first leaf that differs from earlier copies, None if all agree. place: name of the value."""
     after = dict(_parts(value, place))
     return next((name for name in before | after if not (name in before and name in after and _same(before[name], after[name]))), None)
 
 
 def _same(a: Any, b: Any) -> bool:
-    """Bit for bit, where NaN is NaN."""
+    """Whether two leaves agree bit for bit; NaN equals NaN."""
     if type(a) is not type(b):
         return False
     if not isinstance(a, Tensor | np.ndarray):

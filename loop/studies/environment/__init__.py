@@ -1,1 +1,1 @@
-"""A symbol's closed loop as a reinforcement learning environment of Gymnasium."""
+"""Reinforcement learning environments of Gymnasium around a symbol's closed loop."""

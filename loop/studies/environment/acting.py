@@ -1,8 +1,14 @@
-"""Effects of an action: it moves the symbol, changes gains of its feedback, or changes the road heights that it is drawn for."""
+"""Kinds of actions: moves of the symbol, gains of its feedback, or the road heights for which it is drawn.
+
+An acting controller has `size`, the number of values of an action; `limits`, `[k]` each, the smallest and largest observed values of a
+state; `start(pose)`, `act(state, action)` with an action `[..., size]` in -1..1, `observation(state)`, `[..., k]`: the projected pose (x, y
+in m, roll, pitch in rad) or the heights in m; `projection(state, ego)` and `step(state, observation)` as of a `SymbolController`. States
+may have batch dimensions, except those of `Heights`.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -18,47 +24,14 @@ from luxloop.perception.appearance import DEGREES
 from luxloop.perception.camera import camera_view
 from luxloop.perception.egomotion import Ego
 
-GAIN_SPAN: Final = 4.0  # by which an action of 1 multiplies a gain
-HEIGHT_CELLS: Final = (8, 4)  # along and across, of the heights that actions move
-HEIGHT_RATE_M, HEIGHT_RANGE_M = 0.03, 0.25  # of a cell's height: most in a step, and most in all
-
-
-class Acting(Protocol):
-    """A controller that takes actions. Its states may have batch dimensions, except those of `Heights`.
-
-    size: number of values of an action. limits: `[k]` each, smallest and largest values of the observed part of a state.
-    """
-
-    @property
-    def size(self) -> int: ...
-
-    @property
-    def limits(self) -> tuple[Tensor, Tensor]: ...
-
-    def start(self, pose: Tensor) -> Any:
-        """Initial state, which shows the symbol at a pose `[..., 4]`: x, y in m, roll, pitch in rad."""
-        ...
-
-    def act(self, state: Any, action: Tensor) -> Any:
-        """The state after an action `[..., size]` in -1..1."""
-        ...
-
-    def observation(self, state: Any) -> Tensor:
-        """The observed part of a state, `[..., k]`: the pose shown (x, y in m, roll, pitch in rad), or the heights in m."""
-        ...
-
-    def projection(self, state: Any, ego: Ego | None) -> ProjectionCommand:
-        """The projection command of a state."""
-        ...
-
-    def step(self, state: Any, observation: Observation) -> Any:
-        """The state after an observation."""
-        ...
+GAIN_SPAN = 4.0  # factor on a gain by an action of 1
+HEIGHT_CELLS = (8, 4)  # cells of the height map along and across the road
+HEIGHT_RATE_M, HEIGHT_RANGE_M = 0.03, 0.25  # largest change of a cell's height in a step, largest height
 
 
 @dataclass(frozen=True, eq=False)
 class Moves:
-    """Actions move the symbol in all degrees of freedom; 1 is the largest move of `law` in a step."""
+    """Actions that move the symbol in all degrees of freedom; 1 is the largest move of `law` in a step."""
 
     law: ThesisPid
 
@@ -88,7 +61,10 @@ class Moves:
 
 @dataclass(frozen=True)
 class GainsState:
-    """law: state of the feedback. factors: `[..., 3, 4]`, on kp, ki and kd (rows) of x, y, roll and pitch (columns)."""
+    """State of `Gains`.
+
+    law: state of the feedback. factors: `[..., 3, 4]`, on kp, ki and kd (rows) of x, y, roll and pitch (columns).
+    """
 
     law: ThesisPidState
     factors: Tensor
@@ -96,7 +72,7 @@ class GainsState:
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """The symbol is held by `law`; actions multiply its kp, ki and kd of position, then those of rotation, by GAIN_SPAN ** action."""
+    """Actions that multiply kp, ki and kd of position, then of rotation, of the feedback `law` by GAIN_SPAN ** action."""
 
     law: ThesisPid
 
@@ -130,10 +106,10 @@ class Gains:
 
 @dataclass(frozen=True, eq=False)
 class Heights:
-    """Actions change the road heights over the plane z = 0 for which the symbol is drawn at its target.
+    """Actions that change the road heights over the plane z = 0 for which the symbol is drawn at its target.
 
-    There are HEIGHT_CELLS heights, the far row first, each from left to right. An action changes each by at most HEIGHT_RATE_M; they stay
-    within HEIGHT_RANGE_M.
+    The heights are HEIGHT_CELLS, the far row first, each row from left to right. An action changes each by at most HEIGHT_RATE_M, within
+    HEIGHT_RANGE_M.
     """
 
     sensor: SymbolSensor
@@ -168,11 +144,12 @@ class Heights:
 
 
 def _law(sensor: SymbolSensor, params: Any) -> ThesisPid:
-    """The scenario's thesis_pid, or thesis_pid with its defaults if another controller holds the symbol."""
+    """The scenario's thesis_pid, or thesis_pid with its defaults if the scenario has another controller."""
     return ThesisPid.prepare(params if isinstance(params, ThesisPidParams) else ThesisPidParams(), sensor.projector.target)
 
 
-ACTIONS: Final[Mapping[str, Callable[[SymbolSensor, Any], Acting]]] = {
+Acting = Moves | Gains | Heights
+ACTIONS: Mapping[str, Callable[[SymbolSensor, Any], Acting]] = {
     "moves": lambda sensor, params: Moves(_law(sensor, params)),
     "gains": lambda sensor, params: Gains(_law(sensor, params)),
     "heights": lambda sensor, params: Heights(sensor),

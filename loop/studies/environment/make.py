@@ -1,9 +1,9 @@
-"""Functions that make environments, `make` and `make_vec`, and the shipped scenarios with one symbol registered with Gymnasium."""
+"""Functions that make environments, `make` and `make_vec`, and registration of the shipped single-symbol scenarios with Gymnasium."""
 
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.shipped import scenario_files
@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from luxloop.loop.studies.environment.single import SymbolEnv
     from luxloop.loop.studies.environment.vector import SymbolVectorEnv
 
-IDS: Final[Mapping[str, str]] = {"": "moves", "Gains": "gains", "Heights": "heights"}
-SINGLE: Final = "luxloop.loop.studies.environment.single:SymbolEnv"
-VECTOR: Final = "luxloop.loop.studies.environment.vector:SymbolVectorEnv"
+IDS: Mapping[str, str] = {"": "moves", "Gains": "gains", "Heights": "heights"}
+SINGLE = "luxloop.loop.studies.environment.single:SymbolEnv"
+VECTOR = "luxloop.loop.studies.environment.vector:SymbolVectorEnv"
 
 
 def make(
@@ -27,11 +27,11 @@ def make(
     render_mode: Literal["rgb_array", "human"] | None = None,
     device: str = "cpu",
 ) -> "SymbolEnv":
-    """An environment of Gymnasium in which the agent holds the scenario's symbol; its docstring has spaces, units and signs.
+    """Gymnasium environment in which the agent holds the scenario's symbol; its docstring has spaces, units and signs.
 
     scenario: a loaded scenario, or a name or path. overrides: changes of its keys, as KEY=VALUE. action: the kind of action. image: rows
-    and columns of the symbol's image in observations; by default they have no image. render_mode: "rgb_array" if `render` returns the
-    camera's view, "human" if a window shows it. device: "cpu" or "cuda". Raises LuxloopError if Gymnasium is missing, and as `SymbolEnv`.
+    and columns of the symbol's image in observations; by default there is no image. render_mode: "rgb_array" to get the camera's view from
+    `render`, "human" to show it in a window. device: "cpu" or "cuda". Raises LuxloopError if Gymnasium is missing, and as `SymbolEnv`.
     """
     _needs_gymnasium()
     from luxloop.loop.studies.environment.single import SymbolEnv
@@ -49,7 +49,7 @@ def make_vec(
     autoreset_mode: Any = "NextStep",
     device: str = "cpu",
 ) -> "SymbolVectorEnv":
-    """A `VectorEnv` of Gymnasium with num_envs copies of `make`'s environment; for scenarios in which nothing but the symbol moves.
+    """Gymnasium `VectorEnv` of num_envs copies of `make`'s environment, for scenarios in which nothing but the symbol moves.
 
     num_envs: number of copies. autoreset_mode: one of `gymnasium.vector.AutoresetMode`. scenario, overrides, action, image, device and
     errors: as for `make`; also raises LuxloopError if something else moves, or the symbol is not the only function.

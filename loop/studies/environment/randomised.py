@@ -1,4 +1,4 @@
-"""Domain randomisation: values of the scenario's keys, drawn within ranges for new episodes."""
+"""Domain randomisation: random values of scenario keys for new episodes."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,7 +12,7 @@ from luxloop.world.errors import LuxloopError
 
 
 class _Randomised:
-    """What both wrappers share."""
+    """Base of both wrappers."""
 
     env: Any
 
@@ -38,13 +38,13 @@ class _Randomised:
 
 
 class Randomised(_Randomised, gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Draws values of keys for new episodes, from the seed of `reset`; `info["values"]` of `reset` has them by key.
+    """Wrapper that draws values of keys for new episodes, from the seed of `reset`; `info["values"]` of `reset` has them by key.
 
-    env: of `make`. keys: ranges as for `luxloop tune`, KEY=LOW:HIGH or KEY=LOW:HIGH:log, such as "road.seed=1:1000". every: episodes that
-    share the values. Only what a key affects is prepared again: a change of noise or latency takes no time, one of a road or a lamp up to
-    a second. Raises LuxloopError for a key or a value that the scenario does not accept.
+    env: of `make`. keys: ranges as for `luxloop tune`, KEY=LOW:HIGH or KEY=LOW:HIGH:log, such as "road.seed=1:1000". every: number of
+    episodes with the same values. Only what a key affects is prepared again: noise or latency take no time, a road or a lamp up to a
+    second. Raises LuxloopError for an invalid key or value.
     """
 
 
 class RandomisedVector(_Randomised, gymnasium.vector.VectorWrapper):
-    """The same for a vector environment, whose copies share the values. Only `reset` draws new ones, not an automatic reset."""
+    """`Randomised` for a vector environment, whose copies share the values. Only `reset` draws new ones, not an automatic reset."""

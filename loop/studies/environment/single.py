@@ -1,9 +1,9 @@
-"""One closed loop as an environment of Gymnasium, on the whole simulation: observations within finite bounds, reward by the evaluator."""
+"""A closed loop as a Gymnasium environment, on the whole simulation: bounded observations, reward by the evaluator."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
@@ -31,14 +31,14 @@ from luxloop.world.errors import LuxloopError, did_you_mean
 
 Floats = npt.NDArray[np.float32]
 
-ERRORS: Final = (20.0, 10.0, 0.5, 0.5)  # m, m, rad, rad: limits of observed errors
-AREA: Final = 4.0
-MOTION: Final = (100.0, 3.0)  # m/s, rad/s
+ERRORS = (20.0, 10.0, 0.5, 0.5)  # m, m, rad, rad: limits of observed errors
+AREA = 4.0
+MOTION = (100.0, 3.0)  # m/s, rad/s
 CENTROID_WEIGHT, ACTION_WEIGHT = 0.5, 0.01
 
 
 def action_of(given: Any, shape: tuple[int, ...]) -> Tensor:
-    """An action `[..., n]` within -1..1. Raises LuxloopError where it has another shape, or is not finite."""
+    """Action `[..., n]`, limited to -1..1. Raises LuxloopError for another shape, or values that are not finite."""
     taken = torch.as_tensor(np.asarray(given, np.float32))
     if taken.shape != shape or not bool(taken.isfinite().all()):
         raise LuxloopError(f"step: an action has the shape {shape} and finite numbers, not {tuple(taken.shape)} or NaN; see action_space")
@@ -46,11 +46,10 @@ def action_of(given: Any, shape: tuple[int, ...]) -> Tensor:
 
 
 def reward_terms(metrics: Metrics, action: Tensor) -> dict[str, Tensor]:
-    """The terms `[...]` whose sum is the reward of an action `[..., n]`. metrics: of the symbol after the action.
+    """Terms `[...]` of the reward of an action `[..., n]`, which is their sum. metrics: of the symbol after the action.
 
-    iou: overlap of the symbol with its target on the road, 0..1. centroid: -0.5 times the distance of their centroids, relative to the
-    symbol's length and width and at most 1. action: -0.01 times the mean square of the action. If nothing is lit, iou is 0 and centroid
-    -0.5.
+    iou: overlap of the symbol with its target on the road, 0..1. centroid: -0.5 times the distance of their centroids relative to the
+    symbol's length and width, at most 1. action: -0.01 times the mean square of the action. If nothing is lit, iou is 0 and centroid -0.5.
     """
     away = (metrics.centroid_percent / 100).norm(dim=-1).nan_to_num(1.0).clamp(max=1.0)
     return {
@@ -70,7 +69,7 @@ def bounds(acting: Acting) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True)
 class Look:
-    """The observed part of a measurement of the newest frames.
+    """Observed part of a measurement of the newest frames.
 
     code: `[...]` int64, an `ExtractionStatus`. pose_error: `[..., 4]` m, m, rad, rad, 0 if the symbol is lost. area_ratio: `[...]`,
     measured over expected. image: `[..., h, w]` uint8, the extracted symbol, scaled; None if observations have no image.
@@ -83,7 +82,7 @@ class Look:
 
     @classmethod
     def of(cls, seen: Measurement, size: tuple[int, int] | None) -> "Look":
-        """The observed part of `seen`. size: rows and columns of the image, None for no image."""
+        """Observed part of a measurement. size: rows and columns of the image, None for no image."""
         usable = (seen.code == ExtractionStatus.SEEN) & seen.pose_error.isfinite().all(-1)
         most = seen.pose_error.new_tensor(ERRORS)
         errors = torch.where(usable[..., None], seen.pose_error, 0.0).clamp(-most, most)
@@ -92,7 +91,7 @@ class Look:
 
 
 def observation(state: Tensor, look: Look, ego: Ego | None) -> Tensor:
-    """Observation `[..., n]`, see `SymbolEnv`. state: `[..., k]`, observed part of an `Acting`'s state. ego: None for a standing car."""
+    """Observation `[..., n]`, see `SymbolEnv`. state: `[..., k]`, observed part of a controller's state. ego: None for a standing car."""
     codes = torch.nn.functional.one_hot(look.code, len(ExtractionStatus)).to(state)
     moving = state.new_zeros(2) if ego is None or ego.stands else torch.stack([ego.speed_m_s, ego.yaw_rate_rad_s]).to(state)
     motion = moving.clamp(state.new_tensor([0.0, -MOTION[1]]), state.new_tensor(MOTION)).expand(*state.shape[:-1], 2)
@@ -100,13 +99,13 @@ def observation(state: Tensor, look: Look, ego: Ego | None) -> Tensor:
 
 
 def as_gymnasium(vector: Tensor, look: Look) -> Any:
-    """An observation as NumPy arrays for Gymnasium: the vector, or a dictionary of state and image."""
+    """Observation as NumPy arrays for Gymnasium: the vector, or a dictionary of state and image."""
     state = vector.float().cpu().numpy()
     return state if look.image is None else {"state": state, "image": look.image.cpu().numpy()}
 
 
 def _scale(symbol: Tensor, size: tuple[int, int]) -> Tensor:
-    """A symbol image `[..., h, w]` in 0..1 as `[..., *size]` uint8."""
+    """Symbol image `[..., h, w]` in 0..1, scaled to `[..., *size]` uint8."""
     if not symbol.numel():
         return torch.zeros((*symbol.shape[:-2], *size), dtype=torch.uint8, device=symbol.device)
     scaled = interpolate(symbol.reshape(-1, 1, *symbol.shape[-2:]), size, mode="bilinear", align_corners=False, antialias=True)
@@ -124,7 +123,7 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
 
     | at | what | unit | sign | within |
     | --- | --- | --- | --- | --- |
-    | 0, 1 | x, y of the symbol's primitive as shown | m | ahead, to the left | range of the controller |
+    | 0, 1 | x, y of the projected primitive | m | ahead, to the left | range of the controller |
     | 2, 3 | its roll, pitch | rad | right side down, nose down | range of the controller |
     | 4, 5 | measured error of x, y, 0 if the symbol is lost | m | too far, too far left | 20, 10 |
     | 6, 7 | measured error of roll, pitch | rad | as 2, 3 | 0.5 |
@@ -142,8 +141,8 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
 
     The reward is the sum of `reward_terms`, which are in `info["terms"]`; `info["verdict"]` has the
     symbol's metrics. An episode is truncated after the scenario's steps and never terminates before. `reset(seed=n)` draws the noise of
-    seed n in the same world; `options={"start": [x, y, roll, pitch]}` sets the start pose (m, rad). A copy, and what is pickled, is made
-    anew with the same arguments: call `reset` next.
+    seed n in the same world; `options={"start": [x, y, roll, pitch]}` sets the start pose (m, rad). A copied or unpickled environment is
+    made from the same arguments: call `reset` next.
     """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's name)
@@ -267,13 +266,13 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
 
 
 def check_options(options: dict[str, Any] | None, *known: str) -> None:
-    """Raises LuxloopError for options of `reset` that there are not."""
+    """Raise LuxloopError for unknown options of `reset`."""
     if others := [key for key in options or {} if key not in known]:
         raise LuxloopError(f"reset: options[{others[0]!r}]: there is no such option; {did_you_mean(others[0], known)}")
 
 
 def start_of(options: dict[str, Any] | None, pose: torch.Tensor, *shapes: tuple[int, ...]) -> torch.Tensor:
-    """The start pose in `options`, by default `pose` `[4]`. Raises LuxloopError if it has none of the shapes, or is not finite."""
+    """Start pose in `options`, by default `pose` `[4]`. Raises LuxloopError for other shapes, or values that are not finite."""
     given = (options or {}).get("start")
     if given is None:
         return pose

@@ -1,4 +1,4 @@
-"""Many closed loops as one vector environment of Gymnasium, on copies of one world at rest."""
+"""Many closed loops as a Gymnasium vector environment, on copies of one standing world."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -41,10 +41,10 @@ Mask = npt.NDArray[np.bool_]
 
 
 class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]], EzPickle):
-    """`num_envs` copies of `SymbolEnv` in one standing world; observations, actions and rewards of each are those of `SymbolEnv`.
+    """`num_envs` copies of `SymbolEnv` in one standing world, with the same observations, actions and rewards.
 
     autoreset_mode: of Gymnasium; with DISABLED, `reset(options={"reset_mask": [num_envs] bool})` resets some copies. `reset(seed=n)` gives
-    the k-th copy, from 0, the seed n + k; it also takes a list of seeds. Latency delays observations as in the single environment.
+    the k-th copy, from 0, the seed n + k; a list of seeds is accepted as well. Latency delays observations as in the single environment.
     """
 
     def __init__(
@@ -134,7 +134,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
         return observed, rewards, np.zeros(self.num_envs, bool), truncated, infos
 
     def _move(self, actions: Tensor) -> tuple[dict[str, Tensor], Metrics]:
-        """One step of all copies."""
+        """Terms of the reward and metrics of one step of all copies."""
         self._state = self.acting.act(self._state, actions)
         pose = self.acting.projection(self._state, None).pose
         light, ages = self.copies.show(pose), self._age.tolist()
@@ -166,7 +166,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
         self._begin(which, self.acting.start(pose), self.np_random.integers(SEEDS, size=self.num_envs).tolist())
 
     def _begin(self, which: Mask, start: Any, seeds: Sequence[int]) -> None:
-        """Reset the chosen copies to their rows of a state."""
+        """Reset the copies in a mask to their rows of a start state."""
         chosen = torch.from_numpy(which).to(self.copies.simulation.device)
         self._state = choose(chosen, start, self._state)
         self._seeds = [new if anew else old for anew, new, old in zip(which.tolist(), seeds, self._seeds, strict=True)]

@@ -1,1 +1,1 @@
-"""Pixel controllers evaluated by rectangles (T 8.4)."""
+"""Evaluation of pixel controllers with rectangles (T 8.4)."""

@@ -1,6 +1,4 @@
-"""`luxloop evaluate`: compare MapReduce control with the joint optimum of all pixels, and show the effect of its parameters (T 8.4,
-8.5).
-"""
+"""`luxloop evaluate`: MapReduce control against the joint optimum of all pixels, and the effect of its parameters (T 8.4, 8.5)."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -26,7 +24,7 @@ from luxloop.world.lamps.presets import lamp
 
 LAMPS = ("hd84", "ssl-hd-lores")
 JOBS, SETPOINTS, TABLES, SENSITIVITY = "jobs.jsonl", "setpoints.parquet", "tables.parquet", "sensitivity.parquet"
-CONTROLS = ("mrpc", "options", "corrected", "ours", "median", "default")  # controls whose errors are computed beside the joint optimum's
+CONTROLS = ("mrpc", "options", "corrected", "ours", "median", "default")  # sets of parameters compared with the joint optimum
 Row = dict[str, Any]
 
 # Rows of T tables 8.2 and 8.3: name, a_m (None: no mapping), shape, what is tuned.
@@ -42,7 +40,7 @@ FIXED_A_M = {"hd84": 1.0, "ssl-hd-lores": 1.015}  # of T figures 8.15 and 8.19
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Rows of the three parts of an evaluation, and reasons of failed jobs by key."""
+    """Result of an evaluation: rows of its three parts, and reasons of failed jobs by key."""
 
     setpoints: list[Row]
     tables: list[Row]
@@ -54,7 +52,7 @@ class Evaluation:
         return [name for name in LAMPS if any(row["name"] == name for row in self.setpoints)]
 
     def of(self, name: str) -> "Evaluation":
-        """The evaluation of one lamp."""
+        """Result for one lamp."""
         parts = (self.setpoints, self.tables, self.sensitivity)
         setpoints, tables, sensitivity = ([row for row in rows if row["name"] == name] for rows in parts)
         return Evaluation(setpoints, tables, sensitivity, self.failures)
@@ -72,8 +70,8 @@ def evaluate(
     """Compute the results that `out` does not hold yet, and write three Parquet files into it.
 
     quick: 45 instead of 1,215 rectangles, evenly spread over all five degrees of freedom, and coarser sensitivities. executor: by default a
-    process per core. setpoints, grid: other rectangles, and another number of steps per parameter. Raises what
-    `luxloop.loop.studies.jobs.run` and `luxloop.world.files.output_folder` raise.
+    process per core. setpoints, grid: other rectangles, and another number of steps per parameter. Raises as
+    `luxloop.loop.studies.jobs.run` and `luxloop.world.files.output_folder`.
     """
     chosen = setpoints or (QUICK if quick else RECTANGLES)
     parts: dict[str, tuple[Callable[..., Row], list[Job]]] = {
@@ -89,7 +87,7 @@ def evaluate(
             if results[file].rows:
                 results[file].write(out / file)
             else:
-                (out / file).unlink(missing_ok=True)  # it is none of this evaluation's
+                (out / file).unlink(missing_ok=True)  # from another evaluation
     failures = {key: text for each in results.values() for key, text in each.failures.items()}
     return Evaluation(results[SETPOINTS].rows, results[TABLES].rows, results[SENSITIVITY].rows, failures)
 
@@ -122,7 +120,7 @@ def _tables(name: str) -> list[Job]:
 
 
 def _sensitivities(name: str, steps: int) -> list[Job]:
-    """Rows of constant a_m and a_r: a_m varies for a_r of 0, 1 and 2, then a_r varies for a fixed a_m; each for both shapes."""
+    """Jobs of constant a_m and a_r: a_m varies for a_r of 0, 1 and 2, then a_r varies for a fixed a_m; each for both shapes."""
     thresholds, potentials, exponents = (np.linspace(0, top, steps + 1).round(6).tolist() for top in (1, 2, 3))
     pairs = [(a_m, a_r) for a_r in (0.0, 1.0, 2.0) for a_m in [None, *potentials]]
     pairs += [(FIXED_A_M.get(name, 1.0), a_r) for a_r in exponents]
@@ -133,16 +131,16 @@ def _sensitivities(name: str, steps: int) -> list[Job]:
     ]
 
 
-# One set for all setpoints, beside the default: medians of the thesis' optima (T B.4).
+# One set of parameters for all setpoints: medians of the thesis' optima (T B.4).
 THESIS_MEDIAN = {"hd84": Trial(0.99, 0.87, 0.001), "ssl-hd-lores": Trial(1.025, 0.98, 0.001)}
 OURS = {  # the best of a few hundred trials on ten of the rectangles
     "hd84": Trial(a_x=0.7, a_ac=0.4, corrections=1),
     "ssl-hd-lores": Trial(a_x=0.95, a_ac=0.6, sharpening=2.0, corrections=3),
 }
-WIDE = Rectangle(-6.05, -0.25, 8.9, 7.7)  # the one of T 8.5; on which side of the axis plays no role for lamps that are alike on both
+WIDE = Rectangle(-6.05, -0.25, 8.9, 7.7)  # of T 8.5; its side does not matter for symmetric lamps
 REFERENCE = Trial(None, 0.5, 1.0, "rectangle")  # T 8.5: pixels taken as their bounding rectangles at half of their peak, no mapping
 CORRECTIONS = 3  # a product with the matrix and one with its transpose each
-GAP = 1e-3  # largest share by which the true joint optimum may be lower
+GAP = 1e-3  # largest relative gap of the joint optimum to its lower bound
 
 
 def headlight(name: str) -> Headlight:
@@ -150,8 +148,9 @@ def headlight(name: str) -> Headlight:
 
 
 def setpoint(name: str, h: float, v: float, width: float, height: float, turn: float) -> dict[str, Any]:
-    """MAE of a rectangle by joint optimisation of all pixels, and by MRPC: tuned for it as in the thesis, tuned with the options of T 7.5.2
-    as well, with corrections on top, and with one set for all: ours, the default, the thesis' median."""
+    """MAE of a rectangle with joint optimisation of all pixels, and with MRPC: parameters tuned for it as in the thesis, with the options
+    of T 7.5.2, with corrections on top, and with one set for all rectangles: ours, the default, the thesis' median.
+    """
     control = _control(name, Rectangle(h, v, width, height, turn))
     joint, gap = joint_optimum(control.part)
 
@@ -182,7 +181,7 @@ def setpoint(name: str, h: float, v: float, width: float, height: float, turn: f
 
 
 def table_row(name: str, a_m: float | None, a_r: float, shape: Any, tuned: list[str]) -> dict[str, Any]:
-    """Errors of the wide rectangle, MRPC being tuned for its MAE; nothing is tuned for an empty list (T tables 8.2, 8.3)."""
+    """Errors of the wide rectangle with MRPC tuned for its MAE; nothing is tuned for an empty list (T tables 8.2, 8.3)."""
     control = _control(name, WIDE)
     best = Trial(a_m, REFERENCE.a_x, a_r, shape)
     if tuned:
@@ -198,14 +197,14 @@ def sensitivity_row(name: str, a_m: float | None, a_r: float, shape: Any, thresh
 
 
 def joint_optimum(part: Part) -> tuple[Tensor, float]:
-    """Utilisations `[n]` of the least MAE (T 3.5.2, 8.4), and the share by which the true minimum may be lower."""
+    """Utilisations `[n]` of the least MAE (T 3.5.2, 8.4), and their relative gap to its lower bound."""
     light = part.headlight
     found = least_error(light.matrix, pixel_goal(light, part.wanted), gap=GAP)
     return found.u, float((found.error - found.bound) / found.error)
 
 
 def light_of(name: str, pixels: list[int], u: list[float]) -> NDArray[np.float32]:
-    """Light texture `[rows, cols]` in cd of the pixels that are lit."""
+    """Light texture `[rows, cols]` in cd of some pixels."""
     light = headlight(name)
     utilisation = torch.zeros(light.n_pixels)
     utilisation[torch.tensor(pixels, dtype=torch.int64)] = torch.tensor(u, dtype=torch.float32)
@@ -223,7 +222,7 @@ def _mae(part: Part, u: Tensor) -> float:
 
 
 def _errors(name: str, control: TextureControl, trial: Trial) -> dict[str, float]:
-    """All four errors over the whole texture. SSIM's range is the lamp's peak, its radius twice the setpoint's mean extent (T 8.3)."""
+    """The four errors over the whole texture. SSIM's range is the lamp's peak, its radius twice the setpoint's mean extent (T 8.3)."""
     whole = headlight(name)
     light, target = (torch.zeros(whole.rows, whole.cols) for _ in range(2))
     light[control.part.window] = control.part.headlight.light_texture(control.utilisation(trial))

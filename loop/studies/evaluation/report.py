@@ -1,4 +1,4 @@
-"""The report of an evaluation: tables beside the thesis' own, and figures, as one page of Markdown (T 8.4, 8.5, B.4)."""
+"""Report of an evaluation as Markdown: tables beside the thesis' own, and figures (T 8.4, 8.5, B.4)."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -27,7 +27,7 @@ SHOWN = [Rectangle(0, 0, 3.75, height) for height in (1, 2, 3)]  # of T figures 
 
 @rc_context(DEFAULTS)
 def draw(evaluation: Evaluation, folder: Path, prefix: str = "") -> list[Path]:
-    """Draw all figures of all lamps as PNG files whose names begin with the prefix; returns the files."""
+    """Draw all figures of all lamps as PNG files; returns the files. prefix: of their names."""
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     for name in evaluation.lamps:
@@ -91,7 +91,7 @@ def over_setpoints(rows: Sequence[Row], columns: dict[str, str]) -> Figure:
 
 
 def differences(rows: Sequence[Row], name: str) -> Figure:
-    """Light of MRPC less that of the joint optimum, as a share of the setpoint, with the wanted rectangle (T figures 8.9, 8.10)."""
+    """Light of MRPC minus that of the joint optimum as a share of the setpoint, with the wanted rectangle (T figures 8.9, 8.10)."""
     chosen = _nearest(rows)
     figure, grid = plt.subplots(1, len(chosen), figsize=(12, 3.4), layout="constrained", squeeze=False)
     h, v = _degrees(name)
@@ -117,7 +117,7 @@ def differences(rows: Sequence[Row], name: str) -> Figure:
 
 
 def profiles(rows: Sequence[Row], name: str) -> Figure:
-    """Difference of MRPC and joint optimum, summed over either axis, relative to the most light there (T figure 8.11)."""
+    """Difference of MRPC and joint optimum summed over either axis, absolute and relative to the most light (T figure 8.11)."""
     light = headlight(name)
     apart, samples = np.zeros((2, light.rows, light.cols))
     for row in rows:
@@ -158,7 +158,7 @@ def sensitivities(rows: Sequence[Row], fixed: float) -> Figure:
 
 
 def _surface(axes: Axes, rows: Sequence[Row], over: str, error: str) -> None:
-    """An image of an error, its minimum marked; rows without mapping lie below the others."""
+    """Image of an error with its minimum marked; rows without mapping lie below the others."""
     levels = sorted({row[over] for row in rows if row[over] is not None})
     unmapped = over == "a_m" and any(row[over] is None for row in rows)
     lines: list[float | None] = [*([None] if unmapped else []), *levels]
@@ -193,7 +193,7 @@ def _nearest(rows: Sequence[Row]) -> list[Row]:
 
 
 def _degrees(name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Angles of columns and rows of the light texture."""
+    """Angles in deg of the light texture's columns and rows."""
     y, z = headlight(name).tangents(torch.float64, torch.device("cpu"))
     return torch.rad2deg(y.atan()).numpy(), torch.rad2deg(z.atan()).numpy()
 
@@ -247,9 +247,9 @@ CAPTIONS = {
 
 
 def run_evaluation(out: Path, lamp: str | None, quick: bool, processes: int | None) -> bool:
-    """Evaluate, write the report, print its first table and the failed jobs; returns whether all jobs succeeded.
+    """Evaluate, write the report, print its first table and failed jobs; returns whether all jobs succeeded.
 
-    Raises what `luxloop.loop.studies.jobs.run` raises.
+    Raises as `luxloop.loop.studies.jobs.run`.
     """
     found = evaluate(out, LAMPS if lamp is None else (lamp,), quick=quick, executor=local(processes))
     for key, reason in found.failures.items():
@@ -262,7 +262,7 @@ def run_evaluation(out: Path, lamp: str | None, quick: bool, processes: int | No
 
 
 def write_report(evaluation: Evaluation, out: Path) -> None:
-    """Draw the figures and write the page into a folder. Raises LuxloopError where that cannot be written."""
+    """Draw the figures and write the page into a folder. Raises LuxloopError on a write error."""
     with writing(out / FIGURES):
         draw(evaluation, out / FIGURES)
     atomic_write(out / REPORT, "# Evaluation\n\n" + page(evaluation, f"{FIGURES}/"))
@@ -283,7 +283,7 @@ def overview(evaluation: Evaluation) -> Table:
 
 
 def page(evaluation: Evaluation, images: str) -> str:
-    """The results as Markdown. images: prefix of the figures' names in links."""
+    """Results as Markdown. images: prefix of the figures' names in links."""
     return "\n\n".join(part for name in evaluation.lamps for part in _lamp(evaluation.of(name), name, images)) + "\n"
 
 

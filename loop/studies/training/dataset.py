@@ -1,5 +1,6 @@
-"""`luxloop dataset`: scenarios from seeds, with keys that a file sets, chooses among or draws from ranges; their scenes with labels, each
-whole or not at all; and the labels of all."""
+"""`luxloop dataset`: labelled scenes from seeds, with keys that a file sets, chooses or draws from ranges; and the joined labels of all
+scenes.
+"""
 
 import json
 import shutil
@@ -8,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -41,31 +42,31 @@ from luxloop.world.params import Params
 from luxloop.world.plugin import refuse_code
 from luxloop.world.validation import parsed_json, read_toml, validate_model
 
-DRAWING: Final = 3  # of what is drawn for a scene, beside its world
+DRAWING = 3  # generator key of a scene's random choices
 
 
 class DatasetParams(Params):
-    """A data set: how frames are labelled, and what its scenes have in common and what they vary."""
+    """A data set: layout of labels, and the common and random keys of its scenes."""
 
     labels: Layout = Field("coco", description="layout of the labels")
-    masks: bool = Field(False, description="whether there are masks of instances and parts")
-    depth: bool = Field(False, description="whether there is the depth at each pixel")
-    lux: bool = Field(False, description="whether there is the illuminance from the headlamps at each pixel")
-    seed: int = Field(0, ge=0, lt=2**31, description="seed of the first scene; the next ones have the next seeds")
-    steps: int = Field(1, ge=1, le=1000, description="frames of a scene")
-    rate_hz: float = Field(1.0, ge=0.1, le=1000, description="frames a second")
-    set: dict[str, Any] = Field({}, description="keys of every scene, written as in a scenario file")
+    masks: bool = Field(False, description="whether to write masks of instances and parts")
+    depth: bool = Field(False, description="whether to write the depth of each pixel")
+    lux: bool = Field(False, description="whether to write the headlamps' illuminance of each pixel")
+    seed: int = Field(0, ge=0, lt=2**31, description="seed of the first scene; further scenes have the following seeds")
+    steps: int = Field(1, ge=1, le=1000, description="frames per scene")
+    rate_hz: float = Field(1.0, ge=0.1, le=1000, description="frame rate")
+    set: dict[str, Any] = Field({}, description="keys of all scenes, written as in a scenario file")
     variants: dict[str, dict[str, Any]] = Field(
-        {}, description="named tables of further keys, one of which each scene has; left out: one variant without changes"
+        {}, description="named tables of further keys, one of which is drawn for each scene; left out: one variant without changes"
     )
     vary: tuple[Annotated[str, Field(min_length=1)], ...] = Field(
-        (), description="keys with ranges, from which each scene draws a number: key=low:high, or key=low:high:log"
+        (), description="keys with ranges, from which a number is drawn for each scene: key=low:high, or key=low:high:log"
     )
 
 
 @dataclass(frozen=True)
 class DatasetScene:
-    """A scene of a data set. variant: its name, empty for none. drawn: numbers from ranges, by key."""
+    """A scene of a data set. variant: its name, empty without variants. drawn: random numbers from ranges, by key."""
 
     seed: int
     variant: str
@@ -77,18 +78,13 @@ class DatasetScene:
         return f"{self.seed:06d}"
 
 
-@dataclass(frozen=True)
-class Dataset:
-    """What a file says of a data set, and its scenes."""
-
-    labels: Labels
-    scenes: tuple[DatasetScene, ...]
+Dataset = tuple[Labels, list[DatasetScene]]
 
 
 def read(file: Path, number: int, *, allow_code: bool = False) -> Dataset:
-    """The first scenes of a data set. allow_code: whether Python modules that its file names may run.
+    """Labels and first scenes of a data set. allow_code: whether Python modules that its file names may run.
 
-    Raises LuxloopError that names the file, the key and the remedy.
+    Raises LuxloopError with the file, the key and the remedy.
     """
     data = read_toml(file)
     with locate(str(file)):
@@ -101,7 +97,7 @@ def read(file: Path, number: int, *, allow_code: bool = False) -> Dataset:
                 refuse_code(scenario, scenario.source)
         ranges = tuple(parse(each, first, "vary") for each in params.vary)
         labels = Labels(params.labels, params.masks, params.depth, params.lux)
-        return Dataset(labels, tuple(_scene(params, ranges, params.seed + k) for k in range(number)))
+        return labels, [_scene(params, ranges, params.seed + k) for k in range(number)]
 
 
 def _scene(params: DatasetParams, ranges: tuple[Range, ...], seed: int) -> DatasetScene:
@@ -121,17 +117,17 @@ def _scenario(params: DatasetParams, seed: int, variant: str) -> Scenario:
 
 
 def facts(scene: DatasetScene) -> dict[str, Any]:
-    """What a data set says of a scene."""
+    """Facts of a scene in a data set."""
     return {"seed": scene.seed, "variant": scene.variant, "drawn": dict(scene.drawn)}
 
 
-FILES: Final = ("file_name", "light", "instances", "parts", "depth", "lux")  # of an image, which may not have all
+FILES = ("file_name", "light", "instances", "parts", "depth", "lux")  # files of an image, some of which may be missing
 SCENES, TRAINING, ALL_COCO, ALL_IMAGES = "scenes", "training", "coco.json", "images.json"
 
 
 @dataclass(frozen=True)
 class Counts:
-    """What a data set holds. file: what to begin with. objects: that are labelled, by class."""
+    """Contents of a data set. file: joined labels. objects: number of labelled objects by class."""
 
     file: Path
     scenes: int
@@ -140,9 +136,9 @@ class Counts:
 
 
 def join(out: Path, layout: Layout, scenes: Mapping[str, Mapping[str, Any]]) -> Counts:
-    """Join the labels of scenes, which lie in folders of `out` by these names, with what is said of each.
+    """Join the labels of scenes. scenes: facts of each, by the folder below `out`.
 
-    Raises LuxloopError where the labels of a scene cannot be read, and where files cannot be written.
+    Raises LuxloopError if labels cannot be read, or files cannot be written.
     """
     said, images, annotations, objects = [], list[str](), list[str](), Counter[str]()
     for number, (name, of_scene) in enumerate(scenes.items()):
@@ -170,7 +166,7 @@ def _image(image: Mapping[str, Any], number: int, scene: int, folder: str) -> di
 
 
 def _kitti(out: Path, scenes: Mapping[str, Mapping[str, Any]]) -> Counter[str]:
-    """Folders of all scenes' files, numbered on in the order of the images; returns the number of objects by type."""
+    """Link all scenes' files, numbered in the order of the images, into common folders; returns the number of objects by type."""
     objects, number = Counter[str](), 0
     with _whole_folder(out / TRAINING, part_of(out / SCENES / TRAINING)) as part:
         for name in (IMAGE_2, LABEL_2, CALIB):
@@ -188,7 +184,7 @@ def _kitti(out: Path, scenes: Mapping[str, Mapping[str, Any]]) -> Counter[str]:
 
 @contextmanager
 def _whole_folder(folder: Path, part: Path) -> Iterator[Path]:
-    """A temporary folder, which replaces `folder` at the end; on failure nothing is left behind."""
+    """Temporary folder that replaces `folder` at the end; a failure leaves nothing behind."""
     try:
         with writing(folder, "check the folder and the room left"):
             yield part
@@ -198,14 +194,15 @@ def _whole_folder(folder: Path, part: Path) -> Iterator[Path]:
         shutil.rmtree(part, ignore_errors=True)
 
 
-JOBS: Final = "scenes.jsonl"
-MADE_FROM: Final = "made_from.txt"  # in a scene's folder: the identity of the job that made it
+JOBS = "scenes.jsonl"
+MADE_FROM = "made_from.txt"  # in a scene's folder: the identity of the job that made it
 
 
 def make(scenario: Mapping[str, Any], inputs: dict[str, str], labels: Mapping[str, Any], folder: str, identity: str) -> dict[str, Any]:
-    """A job: run a scene with labels into a folder, which appears when it is complete. inputs: digests of its files. identity: of the job.
+    """Job: run a scene with labels into a folder, which appears once it is complete.
 
-    Raises LuxloopError if the scene cannot run, its files differ on this machine, or the folder cannot be written.
+    inputs: digests of its files. identity: of the job. Raises LuxloopError if the scene cannot run, its files differ on this machine, or
+    the folder cannot be written.
     """
     ready, given = job_scenario(scenario, inputs), dict(labels)
     with _whole_folder(Path(folder), part_of(Path(folder))) as part:
@@ -215,23 +212,22 @@ def make(scenario: Mapping[str, Any], inputs: dict[str, str], labels: Mapping[st
 
 
 def make_dataset(dataset: Dataset, out: Path, processes: int | None) -> tuple[Counts, dict[str, str]]:
-    """Make the scenes that the folder does not have yet, and join the labels of all; returns numbers, and reasons of failures by scene.
+    """Make the scenes that the folder lacks, and join the labels of all; returns contents, and reasons of failures by scene.
 
-    Raises what `luxloop.loop.studies.jobs.run` and `luxloop.world.files.output_folder` raise, and LuxloopError where the folder
-    holds something else.
+    Raises as `luxloop.loop.studies.jobs.run` and `luxloop.world.files.output_folder`, and LuxloopError if the folder holds something else.
     """
-    executor, version = local(processes), digest_of_code()
-    jobs = [_job(each, dataset.labels, out / SCENES / each.name, version) for each in dataset.scenes]
+    (labels, scenes), version = dataset, digest_of_code()
+    jobs = [_job(each, labels, out / SCENES / each.name, version) for each in scenes]
     with output_folder(out):
         _begin(out, jobs)
-        results = run(make, jobs, out / JOBS, version=version, executor=executor, title="scenes", is_there=_is_there)
-        made = [each for each in dataset.scenes if each.name not in results.failures]
-        counts = join(out, dataset.labels.layout, {f"{SCENES}/{each.name}": facts(each) for each in made})
+        results = run(make, jobs, out / JOBS, version=version, executor=local(processes), title="scenes", is_there=_is_there)
+        made = [each for each in scenes if each.name not in results.failures]
+        counts = join(out, labels.layout, {f"{SCENES}/{each.name}": facts(each) for each in made})
     return counts, results.failures
 
 
 def _begin(out: Path, jobs: Sequence[Job]) -> None:
-    """Make the folders, and remove what workers left that were killed, and joined labels of scenes that are made again."""
+    """Make the folders; remove remains of killed workers, and joined labels of scenes that are made again."""
     with writing(out):
         if any(out.iterdir()) and not (out / JOBS).exists():
             raise LuxloopError(f"{out}: holds files that are no data set of luxloop; give an empty or a new folder with --out")
@@ -252,6 +248,6 @@ def _job(scene: DatasetScene, labels: Labels, folder: Path, version: str) -> Job
 
 
 def _is_there(job: Job) -> bool:
-    """Whether the scene's folder holds what the job makes, rather than nothing or what another file or version had made."""
+    """Whether a scene's folder holds the result of this job, and not of another file or version."""
     file = Path(job.place["folder"]) / MADE_FROM
     return file.is_file() and file.read_bytes() == job.place["identity"].encode()

@@ -1,4 +1,4 @@
-"""Metrics of a detector on held-out scenes: detections at one illuminance, and confidence at all."""
+"""Metrics of a detector on held-out scenes: detections at one illuminance, confidence at all illuminances."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -19,21 +19,22 @@ from luxloop.perception.noise import FrameNoise
 
 ILLUMINANCES_LX = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
 REFERENCE_LX = 10.0
-ALONE_LX, AROUND_LX, EDGE_PX = 20.0, 0.1, 2.0  # of object-based light: on objects, beside them, and the scale of the lamps' blur
-FRAMES = 4  # frames with different noise over which confidences are averaged
-AGREE = 0.05  # loss of confidence from full to object-based light that is accepted
-SURE = 0.5  # least score of what counts as found: at REFERENCE_LX rather right than wrong, in less light more often right than that
-SCORES = (0.2, 0.3, 0.4, SURE, 0.6, 0.7, 0.8)  # that might do as well
-BINS = (0.1, 0.3, 0.5, 0.7, 0.9, 1.0)  # of scores, whose boxes are asked how many of them are right
+ALONE_LX, AROUND_LX, EDGE_PX = 20.0, 0.1, 2.0  # object-based light: on objects, beside them, scale of the lamps' blur
+FRAMES = 4  # frames with different noise for mean confidences
+AGREE = 0.05  # accepted loss of confidence from full to object-based light
+SURE = 0.5  # least score of a detection, at which a box is as likely right as wrong at REFERENCE_LX
+SCORES = (0.2, 0.3, 0.4, SURE, 0.6, 0.7, 0.8)  # thresholds for comparison
+BINS = (0.1, 0.3, 0.5, 0.7, 0.9, 1.0)  # of scores, for the share of right boxes
 FOUND_IOU = 0.5
-HEIGHT_PX, VISIBLE, INSIDE = 24, 0.5, 0.5  # least of what must be found; what has less may be
+HEIGHT_PX, VISIBLE, INSIDE = 24, 0.5, 0.5  # least values of required objects; others are optional
 
 
 @dataclass(frozen=True)
 class FrameScores:
-    """FrameScores on one frame. confidences: of each object that must be detected, the best score of its class, 0 without a box on it.
+    """Scores of the detections in one frame, by required object.
 
-    found: which objects a sure box detects. right: which of these in their class. false: number of sure boxes without an object.
+    confidences: best score of the object's class among boxes on it, 0 without a box. found: whether a sure box detects it. right: whether
+    that box has its class. false: number of sure boxes without an object.
     """
 
     labels: tuple[int, ...]
@@ -44,7 +45,7 @@ class FrameScores:
 
 
 def evaluate(detector: Detector, rows: Sequence[Row]) -> dict[str, Any]:
-    """Metrics of a detector on the scenes that `luxloop.loop.studies.training.scenes.draw` returned as rows.
+    """Metrics of a detector on scenes that `luxloop.loop.studies.training.scenes.draw` returned as rows.
 
     At x lx every surface facing the lamps gets x lx at any distance: the intensity grows with the square of the distance. Confidence
     against illuminance is computed without any other light, and with the scene's night light, as are all other metrics.
@@ -85,7 +86,7 @@ def evaluate(detector: Detector, rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def score_frame(found: Detections, objects: Sequence[SceneObject], labels_of: Sequence[int], sure: float = SURE) -> FrameScores:
-    """Scores of the detections of one frame. labels_of: luxloop's class for each of the detector's."""
+    """Scores of the detections in one frame. labels_of: luxloop's class for each of the detector's."""
     must = [_must(each) for each in objects]
     boxes, scores = found.boxes.cpu(), found.scores.cpu()
     overlap = overlaps(boxes, torch.tensor([each.box for each in objects]).view(-1, 4))
@@ -112,9 +113,9 @@ def score_frame(found: Detections, objects: Sequence[SceneObject], labels_of: Se
 
 
 def boxes_right(found: Detections, objects: Sequence[SceneObject], labels_of: Sequence[int]) -> list[tuple[float, bool]]:
-    """Score of each box, and whether it is the one of highest score on an object of its class that must or may be detected.
+    """Score of each box, and whether it is the best-scored box on an object of its class.
 
-    Other boxes on objects that may be detected are left out.
+    Other boxes on optional objects are left out.
     """
     boxes, (scores, columns) = found.boxes.cpu(), found.scores.cpu().max(1)
     overlap = overlaps(boxes, torch.tensor([each.box for each in objects]).view(-1, 4))
@@ -130,9 +131,7 @@ def boxes_right(found: Detections, objects: Sequence[SceneObject], labels_of: Se
 
 
 def agreement(detector: Detector, scene: DarkScene, seed: int) -> list[tuple[int, float, float]]:
-    """Label and confidence in full and in object-based light, as means over frames, of objects that must be detected and surely are in full
-    light.
-    """
+    """Label, and mean confidence in full and in object-based light, of required objects that are surely detected in full light."""
     labels_of = [CLASSES.index(name) for name in detector.classes]
 
     def means(light: Tensor | float, first: int) -> tuple[tuple[int, ...], list[float]]:
@@ -146,12 +145,12 @@ def agreement(detector: Detector, scene: DarkScene, seed: int) -> list[tuple[int
 
 
 def expose_scene(scene: DarkScene, light: Tensor | float, seed: int, number: int) -> Tensor:
-    """A frame of the scene in a light for a detector, with noise of this seed and number."""
+    """Frame of a scene in a light, in 0..1, with noise of this seed and number."""
     return expose(luminance(scene, light), CAMERA, FrameNoise.of(seed, number, 0)) / (2**CAMERA.bits - 1)
 
 
 def light_on_objects(scene: DarkScene) -> Tensor:
-    """Light on objects alone, approximately as object-based lighting gives it by default, but without its handling of nearer objects."""
+    """Light on objects alone, approximately as object-based lighting by default, but without its handling of nearer objects."""
     params = ObjectLightParams()
     return lit_alone(scene, ALONE_LX, AROUND_LX, params.dark, params.dark_lx, EDGE_PX)
 
@@ -187,7 +186,7 @@ def _found(frame_scores: Sequence[FrameScores]) -> dict[str, Any]:
 
 
 def _right(asked: Sequence[tuple[float, bool]]) -> list[dict[str, Any]]:
-    """Of boxes in light of `REFERENCE_LX`, by their scores: how many, their mean score, and the share that is right."""
+    """Number, mean score and share of right boxes at `REFERENCE_LX`, by bin of the score."""
     rows = []
     for low, high in pairwise(BINS):
         boxes = [(score, right) for score, right in asked if low <= score < high or score == high == BINS[-1]]
@@ -197,9 +196,9 @@ def _right(asked: Sequence[tuple[float, bool]]) -> list[dict[str, Any]]:
 
 
 def _confidence(frame_scores: Mapping[float, Sequence[FrameScores]]) -> dict[str, Any]:
-    """Quartiles over the illuminances, of all objects and of each class."""
+    """Quartiles of confidence by illuminance, of all objects and of each class."""
     curves: dict[str, Any] = {"lx": list(ILLUMINANCES_LX)}
-    for name, labels in {"all": range(len(CLASSES)), **{name: [k] for k, name in enumerate(CLASSES)}}.items():
+    for name, labels in [("all", range(len(CLASSES))), *((name, [k]) for k, name in enumerate(CLASSES))]:
         of = [
             [c for each in frame_scores[lx] for c, k in zip(each.confidences, each.labels, strict=True) if k in labels]
             for lx in ILLUMINANCES_LX
@@ -210,7 +209,7 @@ def _confidence(frame_scores: Mapping[float, Sequence[FrameScores]]) -> dict[str
 
 
 def _alone(agreements: Sequence[tuple[int, float, float]]) -> dict[str, Any]:
-    """Share of objects whose confidence object-based light keeps within AGREE, and the median change."""
+    """Share of objects whose confidence in object-based light is within AGREE of full light, and the median change."""
 
     def share_within(found: Sequence[tuple[int, float, float]]) -> float | None:
         return round(float(np.mean([dark >= full - AGREE for _, full, dark in found])), 3) if found else None

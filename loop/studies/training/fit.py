@@ -1,4 +1,4 @@
-"""Fit the network to training examples: parts of scenes, each in two lights, and the targets of the network."""
+"""Training of the network on parts of scenes, each in full and in object-based light."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,19 +17,19 @@ from luxloop.perception.detection.network import STRIDE, Network, boxes_of, midd
 from luxloop.perception.noise import FrameNoise
 
 SIZE = (256, 384)  # rows, columns of an example
-LEAST_HEIGHT_PX, LEAST_VISIBLE, LEAST_INSIDE = 16, 0.35, 0.4  # of objects that must be detected; others may be
-LEAST_LIT = 0.15  # least well-lit share of its visible part
-UNSEEN_LX = 0.12  # from all lamps and the sky; an object counts as absent if less than LEAST_LIT of it is brighter
-SPREAD = 0.09  # standard deviation of a middle's neighbourhood, as a share of the box
+LEAST_HEIGHT_PX, LEAST_VISIBLE, LEAST_INSIDE = 16, 0.35, 0.4  # least values of required objects; others are optional
+LEAST_LIT = 0.15  # least well-lit share of a required object's visible part
+UNSEEN_LX = 0.12  # from all light; an object is absent if less than LEAST_LIT of it is brighter
+SPREAD = 0.09  # standard deviation of the heat around a middle, as a share of the box
 
 
 @dataclass(frozen=True)
 class Examples:
-    """B scenes in full light, and the same B in object-based light.
+    """Examples: B scenes in full light, and the same B in object-based light.
 
-    frames: `[2 B, height, width]` in 0..1. heat: `[2 B, C, rows, columns]`, 1 in the middles of what must be found. counts: the same shape,
-    0 where objects lie that may be found. boxes: `[2 B, 4, rows, columns]` px, of the object that a cell belongs to; share:
-    `[2 B, rows, columns]`, how much the cell counts for it, 1 in sum.
+    frames: `[2 B, height, width]` in 0..1. heat: `[2 B, C, rows, columns]`, 1 in the middles of required objects. counts: `[2 B, C, rows,
+    columns]`, 0 at optional objects. boxes: `[2 B, 4, rows, columns]` px, of each cell's object. share: `[2 B, rows, columns]`, weight of
+    the cell for its object, 1 in sum.
     """
 
     frames: Tensor
@@ -40,13 +40,13 @@ class Examples:
 
     @classmethod
     def draw(cls, rows: Sequence[Row], number: int, rng: np.random.Generator) -> "Examples":
-        """Examples of a number of scenes, each from one or two of the scenes that `draw` returned as rows."""
+        """Random examples, each from one or two of the scenes that `draw` returned as rows."""
         full, alone = zip(*(_pair(rows, rng) for _ in range(number)), strict=True)
         return cls(*(torch.stack(each) for each in zip(*full + alone, strict=True)))
 
 
 def _pair(rows: Sequence[Row], rng: np.random.Generator) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
-    """One scene in full light, and in object-based light."""
+    """Example of one scene in full light, and in object-based light."""
     scene = _scene(rows, rng)
     scene = replace(scene, ambient_lx=scene.ambient_lx * float(np.exp(rng.normal(0, 1))))
     exposure = float(np.exp(rng.uniform(-0.25, 0.25)))
@@ -54,7 +54,7 @@ def _pair(rows: Sequence[Row], rng: np.random.Generator) -> tuple[tuple[Tensor, 
 
 
 def example(scene: DarkScene, light: Tensor, exposure: float, rng: np.random.Generator) -> tuple[Tensor, ...]:
-    """Frame, heat, counts, boxes and share as of `Examples`, of a scene on which the headlamps' light `[height, width]` lx falls."""
+    """Frame, heat, counts, boxes and share as of `Examples`. light: headlamps' illuminance `[height, width]` lx."""
     frame = interpolate(exposure * luminance(scene, light)[None, None], SIZE, mode="bilinear", antialias=True, align_corners=False)[0, 0]
     frame = expose(frame, CAMERA, FrameNoise(int(rng.integers(2**62)))) / (2**CAMERA.bits - 1)
     to_frame = torch.tensor([SIZE[1] / scene.shape[1], SIZE[0] / scene.shape[0]]).repeat(2)
@@ -67,7 +67,7 @@ def example(scene: DarkScene, light: Tensor, exposure: float, rng: np.random.Gen
 
 
 def _scene(rows: Sequence[Row], rng: np.random.Generator) -> DarkScene:
-    """A part of a scene, of any size; most with the objects of another one besides."""
+    """Random part of a scene, of random size, half of them with the objects of another scene."""
     scale = float(np.exp(rng.uniform(-0.3, 0.35)))
     height, width = min(round(SIZE[0] / scale), CAMERA.height_px), min(round(SIZE[1] / scale), CAMERA.width_px)
     top = int(rng.integers(CAMERA.height_px - height + 1))
@@ -87,14 +87,14 @@ def _scene(rows: Sequence[Row], rng: np.random.Generator) -> DarkScene:
 
 
 def targets(boxes: Tensor, labels: Tensor, must: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Heat, counts, boxes and share as of `Examples`, of boxes `[n, 4]` px, their labels `[n]`, and which must be found `[n]`."""
+    """Heat, counts, boxes and share as of `Examples`, from boxes `[n, 4]` px, their labels `[n]`, and which are required `[n]`."""
     rows, columns = SIZE[0] // STRIDE, SIZE[1] // STRIDE
     at = middles(rows, columns, boxes.device)
     x, y = at[0], at[1]
     left, top, right, bottom = boxes[:, :, None, None].unbind(1)
     inside = (x > left - STRIDE) & (x < right + STRIDE) & (y > top - STRIDE) & (y < bottom + STRIDE)
     counts = (~(inside & ~must[:, None, None])).all(0).float().expand(len(CLASSES), -1, -1)
-    # from the cell's middle, so that there it is 1
+    # at the cell's middle, so that the heat is 1 there
     middle = (torch.stack([left + right, top + bottom]) / 2 / STRIDE).floor().mul(STRIDE).add(STRIDE / 2)
     width, height = (SPREAD * side.clamp(min=STRIDE / SPREAD / 2) for side in (right - left, bottom - top))
     near = (-0.5 * (((x - middle[0]) / width) ** 2 + ((y - middle[1]) / height) ** 2)).exp() * must[:, None, None]
@@ -118,9 +118,9 @@ RARE = 0.02  # initial score of the network: share of cells with an object
 
 
 def fit(rows: Sequence[Row], steps: int, seed: int, on_step: Callable[[float], None]) -> Network:
-    """Train a network on `steps` batches; returns it ready to detect, with the mean of its late weights. on_step: called with the loss.
+    """Network trained on `steps` batches, ready to detect, with the mean of its late weights. on_step: called with the loss.
 
-    rows: of scenes, as `luxloop.loop.studies.training.scenes.draw` gives them.
+    rows: of scenes, from `luxloop.loop.studies.training.scenes.draw`.
     """
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
@@ -130,7 +130,7 @@ def fit(rows: Sequence[Row], steps: int, seed: int, on_step: Callable[[float], N
     averaged = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(min(0.99, 1 - 10 / (steps + 10))), use_buffers=True)
     optimiser = torch.optim.AdamW(network.parameters(), RATE, weight_decay=1e-3)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=steps, pct_start=0.15)
-    with ThreadPoolExecutor(1) as ahead:  # a second core draws the next examples meanwhile
+    with ThreadPoolExecutor(1) as ahead:  # a second core draws the next examples
         coming = ahead.submit(Examples.draw, rows, BATCH, rng)
         for _ in range(steps):
             examples, coming = coming.result(), ahead.submit(Examples.draw, rows, BATCH, rng)
@@ -162,8 +162,8 @@ def heat_loss(logits: Tensor, examples: Examples) -> Tensor:
 
 
 def agree_loss(logits: Tensor, examples: Examples) -> Tensor:
-    """Loss per object that is well lit in both lights: by how much its logits in object-based light are below those in full light, which
-    are fixed.
+    """Loss per object that is well lit in both lights: shortfall of its logits in object-based light against those in full light, held
+    fixed.
     """
     own = logits.gather(1, examples.heat.argmax(1, keepdim=True))[:, 0]
     (full, alone), (share_full, share_alone) = own.chunk(2), examples.share.chunk(2)

@@ -1,7 +1,6 @@
-"""Light for scenes that are rendered in the dark: full light (even or like a beam), or object-based light in darkness."""
+"""Light for scenes rendered in the dark: full light (even or beam-like), or object-based light."""
 
 from collections.abc import Mapping
-from typing import Final
 
 import numpy as np
 import torch
@@ -11,22 +10,21 @@ from luxloop.loop.studies.training.scenes import CLASSES, DarkScene, SceneObject
 from luxloop.world.traffic.tracked import Category
 
 WELL_LIT_LX = 5.0  # least illuminance on objects in training
-FULL_LX = (WELL_LIT_LX, 150.0)  # of full light, in which near surfaces often saturate the camera
-DARK_LX = (0.02, 1.0)  # around objects that are lit alone
-OBJECT_LX = (WELL_LIT_LX, 40.0)  # on these
-TOP_LX = (0.2, 1.0)  # on their heads and windscreens
-# share of a box from its top that glare-free light leaves dark: the head, or what is above the bumper, with the lamps' blur and a
-# tracker's errors
-TOP: Final[Mapping[Category, tuple[float, float]]] = {"pedestrian": (0.12, 0.45), "cyclist": (0.12, 0.45), "car": (0.35, 0.75)}
+FULL_LX = (WELL_LIT_LX, 150.0)  # full light; near surfaces often saturate the camera
+DARK_LX = (0.02, 1.0)  # object-based light around objects
+OBJECT_LX = (WELL_LIT_LX, 40.0)  # object-based light on objects
+TOP_LX = (0.2, 1.0)  # object-based light on heads and windscreens
+# dark share of a box from its top in glare-free light: the head, or the part above the bumper, with blur and tracking errors
+TOP: Mapping[Category, tuple[float, float]] = {"pedestrian": (0.12, 0.45), "cyclist": (0.12, 0.45), "car": (0.35, 0.75)}
 
 
 def luminance(scene: DarkScene, lx: Tensor | float) -> Tensor:
-    """`[height, width]` in cd/m^2 where surfaces that face the headlamps get `lx` from them."""
+    """Luminance `[height, width]` in cd/m^2 if surfaces facing the headlamps get `lx` from them."""
     return scene.lamps * lx + scene.own + scene.sky * scene.ambient_lx
 
 
 def full_light(scene: DarkScene, rng: np.random.Generator) -> Tensor:
-    """Illuminance `[height, width]` in lx of surfaces that face the lamps, as by day or as a beam gives it."""
+    """Illuminance `[height, width]` in lx of surfaces facing the lamps, even or of a beam."""
     return (_uniform if rng.random() < 0.6 else _beam)(scene, _between(rng, FULL_LX), rng)
 
 
@@ -49,14 +47,16 @@ def object_light(scene: DarkScene, rng: np.random.Generator) -> Tensor:
 
 
 def darken(scene: DarkScene, light: Tensor, each: SceneObject, share: float, lx: float, soft: float) -> Tensor:
-    """Light of which a share of an object's box, from the top, and as much above it, gets only so many lx; soft: px of the edge's scale."""
+    """Light with a darkened top of an object: a share of its box from the top, and as much above, gets `lx`. soft: scale of the edge in
+    px.
+    """
     u0, v0, u1, _ = _wider(each, 0.15, share)
     dark = _patch(scene, (u0, v0, u1, each.box[1] + share * each.height), soft)
     return light + dark * (lx - light)
 
 
 def lit_alone(scene: DarkScene, lx: float, around_lx: float, top: Mapping[Category, float], top_lx: float, soft: float) -> Tensor:
-    """Light in lx on all objects amid `around_lx`, with `top_lx` on shares of their boxes from the top, by class."""
+    """Illuminance in lx: `lx` on all objects, `top_lx` on shares of their boxes from the top by class, `around_lx` elsewhere."""
     light = torch.full(scene.shape, around_lx)
     for each in scene.objects:
         light = torch.maximum(light, lx * _patch(scene, _wider(each, 0.1, 0.05), soft))
@@ -71,13 +71,13 @@ def _between(rng: np.random.Generator, limits: tuple[float, float]) -> float:
 
 
 def _uniform(scene: DarkScene, lx: float, rng: np.random.Generator) -> Tensor:
-    """Even light with a gradient from side to side."""
+    """Even light with a horizontal gradient."""
     slope = torch.linspace(-1, 1, scene.shape[1]) * float(rng.normal(0, 0.3))
     return (lx * slope.exp()).expand(scene.shape)
 
 
 def _beam(scene: DarkScene, lx: float, rng: np.random.Generator) -> Tensor:
-    """A cone whose light falls with the square of the distance, with a cut-off or without; lx: at 25 m."""
+    """Cone of light that falls with the square of the distance, with or without a cut-off; lx: at 25 m."""
     height, width = scene.shape
     column, row = torch.arange(width) - float(rng.uniform(0, width)), torch.arange(height) - float(rng.uniform(0, 0.6 * height))
     across = (-0.5 * (column / float(rng.uniform(0.3, 1.5) * width)) ** 2).exp()
@@ -87,14 +87,14 @@ def _beam(scene: DarkScene, lx: float, rng: np.random.Generator) -> Tensor:
 
 
 def _wider(each: SceneObject, across: float, down: float) -> tuple[float, float, float, float]:
-    """Its box and so large a share of its width and height to both sides."""
+    """An object's box, enlarged on both sides by shares of its width and height."""
     u0, v0, u1, v1 = each.box
     dx, dy = across * (u1 - u0), down * (v1 - v0)
     return u0 - dx, v0 - dy, u1 + dx, v1 + dy
 
 
 def _patch(scene: DarkScene, box: tuple[float, float, float, float], soft: float) -> Tensor:
-    """A rectangle of 1 with soft edges amid 0."""
+    """Mask of a box with soft edges."""
     (rows, columns), (u0, v0, u1, v1) = scene.shape, box
     u, v = torch.arange(columns) + 0.5, torch.arange(rows) + 0.5
     across = torch.sigmoid((u - u0) / soft) * torch.sigmoid((u1 - u) / soft)
@@ -103,12 +103,12 @@ def _patch(scene: DarkScene, box: tuple[float, float, float, float], soft: float
 
 
 def all_light(scene: DarkScene, lx: Tensor) -> Tensor:
-    """`[height, width]` lx from the headlamps that would make the scene as bright as `lx` from them and all other light do together."""
+    """Headlamp illuminance `[height, width]` in lx equivalent to `lx` from the headlamps plus all other light."""
     return torch.where(scene.lamps > 0, luminance(scene, lx) / scene.lamps.clamp(min=1e-6), 0)
 
 
 def lit_share(scene: DarkScene, light: Tensor, lx: float) -> Tensor:
-    """Which share of each object of the scene gets so much light or more, `[n]`, of what is seen of it."""
+    """Share `[n]` of each object's visible part with at least `lx`."""
     ids, its = scene.object_id.flatten() + 1, torch.tensor([each.object_id + 1 for each in scene.objects]).long()
     rows = 1 + max(its.tolist(), default=0)
     lit, pixels = torch.bincount(ids, (light >= lx).flatten().float(), rows), torch.bincount(ids, minlength=rows)

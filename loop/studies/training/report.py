@@ -1,4 +1,4 @@
-"""The report of a trained detector: a page of Markdown, and confidence against illuminance as a picture."""
+"""Report of a trained detector: a page of Markdown, and confidence against illuminance as a picture."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -88,9 +88,9 @@ the median change is {number(alone["median_change"], "+g")}.
 
 
 def write_report(report: Report, out: Path) -> None:
-    """Write page and picture into a folder: medians over illuminance of each class, and the middle half of all objects.
+    """Write page and picture into a folder: median confidence over illuminance of each class, and quartiles of all objects.
 
-    Raises LuxloopError if they cannot be written.
+    Raises LuxloopError on a write error.
     """
     with drawing(out / PICTURE, (7.2, 3.6)) as figure:
         axes, curves = figure.subplots(), report["confidence"]

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,23 +27,25 @@ from luxloop.world.scene.scene import Ground, Scene
 from luxloop.world.scene.triangles import Triangles
 from luxloop.world.spmv import Csr
 from luxloop.world.traffic.generator import random_tables
+from luxloop.world.traffic.tracked import Category
 
-CAMERA: Final = CameraParams(width_px=640, height_px=360, pitch_deg=1.5, oversampling=1, saturation_e=2000)
-LAMPS_M: Final = ((0.0, 0.6, 0.75), (0.0, -0.6, 0.75))
-CLASSES: Final = ("pedestrian", "cyclist", "car", "animal")
-TRAINING, HELD_OUT = 10_000, 1_000_000  # first seeds of scenes, which share no object with others
-ROADS = 8  # that scenes share, those held out among themselves
-LARGEST = 6e4  # half precision ends there
-MOMENTS_S = 4.0  # a scene is drawn at one moment of its first seconds
-Row = Mapping[str, Any]  # of a scene, as `draw` gives it, with its seed and folder
+CAMERA = CameraParams(width_px=640, height_px=360, pitch_deg=1.5, oversampling=1, saturation_e=2000)
+LAMPS_M = ((0.0, 0.6, 0.75), (0.0, -0.6, 0.75))
+CLASSES: tuple[Category, ...] = ("pedestrian", "cyclist", "car", "animal")
+TRAINING, HELD_OUT = 10_000, 1_000_000  # first seeds of scenes; both sets have different objects
+ROADS = 8  # roads of each set
+LARGEST = 6e4  # limit of half precision
+MOMENTS_S = 4.0  # range of a scene's random time
+Row = Mapping[str, Any]  # of a scene, from `draw`, with its seed and folder
 LAYERS = ("lamps", "distance", "own", "sky", "object_id")
 
 
 @dataclass(frozen=True)
 class SceneObject:
-    """An object of one of the classes. box: `[4]` px, left, top, right, bottom of what is seen and what is hidden, within the image.
+    """An object of one of the classes.
 
-    visible: share that nothing hides. inside: share of its whole box that lies in the image.
+    box: `[4]` px, left, top, right, bottom of visible and hidden parts, within the image. visible: share that nothing hides. inside: share
+    of its whole box within the image.
     """
 
     object_id: int
@@ -57,7 +59,7 @@ class SceneObject:
         return self.box[3] - self.box[1]
 
     def within(self, left: int, top: int, width: int, height: int) -> "SceneObject | None":
-        """What lies in a part of the image, counted from there; None where nothing does."""
+        """The object in a part of the image, relative to that part; None outside."""
         u0, v0, u1, v1 = self.box
         box = (max(u0 - left, 0.0), max(v0 - top, 0.0), min(u1 - left, float(width)), min(v1 - top, float(height)))
         size, whole = (box[2] - box[0], box[3] - box[1]), (u1 - u0) * (v1 - v0)
@@ -68,9 +70,9 @@ class SceneObject:
 class DarkScene:
     """A scene as the camera would see it in any light, all `[height, width]`.
 
-    lamps: luminance in cd/m^2 for each lx of light from both headlamps, half from each, that a surface facing them gets. distance: m to the
-    middle between them. own: luminance by all other lamps. sky: luminance for each lx of an overcast sky. object_id: -1 where nothing is.
-    ambient_lx: of the scene's night. objects: those in sight of the classes that are looked for.
+    lamps: luminance in cd/m^2 per lx of light from both headlamps, half from each, on a surface facing them. distance: m to the middle
+    between the headlamps. own: luminance by all other lamps. sky: luminance per lx of an overcast sky. object_id: -1 without an object.
+    ambient_lx: of the scene's night. objects: visible objects of the classes.
     """
 
     lamps: Tensor
@@ -87,18 +89,18 @@ class DarkScene:
         return height, width
 
     def shift(self, left: int, top: int) -> "DarkScene":
-        """The scene with the image origin at a column and row; boxes are clipped to the image."""
+        """Scene with the image origin at a column and row; boxes are clipped to the image."""
         return replace(self, objects=tuple(found for each in self.objects if (found := each.within(left, top, *self.shape[::-1]))))
 
     def mirror(self) -> "DarkScene":
-        """Left and right exchanged."""
+        """Scene with left and right exchanged."""
         layers = {name: getattr(self, name).flip(-1) for name in LAYERS}
         width = self.shape[1]
         objects = tuple(replace(each, box=(width - each.box[2], each.box[1], width - each.box[0], each.box[3])) for each in self.objects)
         return replace(self, **layers, objects=objects)  # type: ignore[arg-type]
 
     def behind(self, other: "DarkScene") -> "DarkScene":
-        """This scene with the objects of another one inserted by distance; their shadows are left out."""
+        """Scene with another scene's objects inserted by distance, without their shadows."""
         nearer = (other.object_id > 0) & (other.distance < self.distance)
         first = int(self.object_id.max()) + 1
         moved = replace(
@@ -112,14 +114,14 @@ class DarkScene:
 
 
 def _in_sight(scene: DarkScene, object_id: Tensor) -> tuple[SceneObject, ...]:
-    """Objects of a scene that remain visible in an image where others may hide them."""
+    """Objects of a scene that remain visible in an image in which others may hide them."""
     before, after = (torch.bincount(ids.flatten() + 1, minlength=256) for ids in (scene.object_id, object_id))
     share = (after / before.clamp(min=1)).tolist()
     return tuple(replace(each, visible=each.visible * share[each.object_id + 1]) for each in scene.objects)
 
 
 def draw(seed: int, folder: str) -> dict[str, Any]:
-    """Render the scene of a seed into `folder/SEED.npy` and return its row. Raises LuxloopError if it cannot be written."""
+    """Render the scene of a seed into `folder/SEED.npy`; returns its row. Raises LuxloopError on a write error."""
     scenario = _scenario(seed)
     ground, source = _road(road_seed(seed))
     scene = Scene((ground, *(item.build() for item in scenario.all_objects)), 0.0, scenario.light.street_lamps)
@@ -152,7 +154,7 @@ def draw(seed: int, folder: str) -> dict[str, Any]:
 
 
 def read(row: Row, rows: slice = slice(None), columns: slice = slice(None)) -> DarkScene:
-    """The scene of a row that `draw` gave, or a part of the image, from which boxes then count. Raises OSError where the file is gone."""
+    """Scene of a row from `draw`, or a part of its image, to which boxes are then relative. Raises OSError if the file is gone."""
     layers = np.load(_file(row["folder"], row["seed"]), mmap_mode="r")[:, rows, columns]
     lamps, distance, own, sky, object_id = torch.from_numpy(layers.astype(np.float32))
     objects = tuple(SceneObject(**{**each, "box": tuple(each["box"])}) for each in row["objects"])
@@ -165,10 +167,10 @@ def _file(folder: str, seed: int) -> Path:
 
 
 def tables(seed: int) -> dict[str, Any]:
-    """Tables `road`, `surface`, `light` and `traffic` of a scenario, from a seed, with something to be found in most."""
+    """Tables `road`, `surface`, `light` and `traffic` of a scenario from a seed, with an object in most scenes."""
     found = random_tables(seed)
     traffic = found["traffic"]
-    for key in ("pedestrians", "cyclists", "animals"):  # nights are emptier than what is worth drawing
+    for key in ("pedestrians", "cyclists", "animals"):  # real nights are emptier
         traffic[key] += 1
     return found
 
@@ -191,7 +193,7 @@ def _road(seed: int) -> tuple[Ground, SurfaceSource]:
 
 
 def _sent_back(surfaces: GBuffer, triangles: Triangles, distance: Tensor) -> Tensor:
-    """Luminance in cd/m^2 for each lx on a surface that faces the lamps."""
+    """Luminance in cd/m^2 per lx on a surface facing the lamps."""
     found = torch.zeros(distance.numel())
     even = Csr.from_scipy(sp.csr_matrix(np.ones((4, 1))))  # 1 cd into all directions that the camera sees
     lamp = Headlight(rows=2, cols=2, left=0.4, right=-0.4, bottom=-0.3, top=0.3, name="even", matrix=even, pixel_rows=1, pixel_cols=1)

@@ -1,11 +1,11 @@
-"""`luxloop train-detector`: render scenes, fit the network, test it on others, and write weights and report."""
+"""`luxloop train-detector`: render scenes, train the network, test it on held-out scenes, and write weights and report."""
 
 import datetime
 import math
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import torch
 from scipy.optimize import minimize
@@ -29,14 +29,13 @@ JOBS, FOLDER, WEIGHTS = "scenes.jsonl", "scenes", "detector.pt"
 LEAST_SCORE = 0.01  # of detections that are evaluated
 SUREST = 1e-6  # least distance of a score to 1, where the logit diverges
 CALIBRATING = 10  # one in so many scenes is kept for calibration
-VERSION: Final = digest_of(scenes)
+VERSION = digest_of(scenes)
 
 
 def train(out: Path, number: int, held_out: int, epochs: int, seed: int, processes: int | None) -> dict[str, Any]:
-    """Train on a number of scenes, test on others, write weights and report into a folder; returns the report.
+    """Train on some scenes, test on others, write weights and report into a folder; returns the report.
 
-    Raises LuxloopError for scenes that cannot be rendered, a network that has learnt nothing, or a folder that cannot be
-    written.
+    Raises LuxloopError for scenes that cannot be rendered, a network that has learnt nothing, or a folder that cannot be written.
     """
     executor = local(processes)
     with output_folder(out), output_folder(out / FOLDER):
@@ -59,9 +58,9 @@ def train(out: Path, number: int, held_out: int, epochs: int, seed: int, process
 
 
 def store(detector: NetworkDetector, report: Mapping[str, Any], out: Path) -> None:
-    """Write weights and report into a folder, the weights last, so that a report beside weights is theirs.
+    """Write report and weights into a folder, the weights last, so that a report beside weights belongs to them.
 
-    Raises LuxloopError where that cannot be.
+    Raises LuxloopError on a write error.
     """
     (out / WEIGHTS).unlink(missing_ok=True)
     write_json(out / "report.json", report)
@@ -71,7 +70,7 @@ def store(detector: NetworkDetector, report: Mapping[str, Any], out: Path) -> No
 
 
 def _learnt(rows: Sequence[Row], epochs: int, seed: int) -> tuple[NetworkDetector, dict[str, Any]]:
-    """The network as it is stored, and how it came about. Scenes too few to leave one for that serve to calibrate as well."""
+    """Trained network as stored, and facts of its training. Too few scenes serve both training and calibration."""
     last = len(rows) // CALIBRATING
     learnt, asked = (rows[:-last], rows[-last:]) if last else (rows, rows)
     steps = -(-epochs * len(learnt) // BATCH)
@@ -87,9 +86,9 @@ def _learnt(rows: Sequence[Row], epochs: int, seed: int) -> tuple[NetworkDetecto
 
 
 def draw_scenes(out: Path, first: int, number: int, executor: Executor, title: str) -> Sequence[Row]:
-    """Rows of so many scenes from a first seed on, drawn unless they are in the folder. Raises LuxloopError where some cannot be."""
+    """Rows of scenes from a first seed on, rendered unless they are in the folder. Raises LuxloopError if a scene cannot be rendered."""
     folder = str(out / FOLDER)
-    seeds = sorted(range(first, first + number), key=scenes.road_seed)  # those on one road follow each other
+    seeds = sorted(range(first, first + number), key=scenes.road_seed)  # ordered by road
     jobs = [Job(f"scene {seed}", {"seed": seed, "folder": folder}) for seed in seeds]
     results: Results = run(scenes.draw, jobs, out / JOBS, version=VERSION, executor=executor, title=title)
     if results.failures:
@@ -99,7 +98,7 @@ def draw_scenes(out: Path, first: int, number: int, executor: Executor, title: s
 
 
 def train_detector(out: Path, number: int, held_out: int, epochs: int, seed: int, processes: int | None) -> None:
-    """Train and show how good the network has become."""
+    """Train a detector and print its goals."""
     report = train(out, number, held_out, epochs, seed, processes)
     tables.show(overview(report))
     print(f"{out / WEIGHTS} and {out / 'report.md'} written")
@@ -108,8 +107,8 @@ def train_detector(out: Path, number: int, held_out: int, epochs: int, seed: int
 def calibrate(detector: NetworkDetector, rows: Sequence[Row]) -> tuple[float, float]:
     """Calibrate the logits of the detector's network so that scores are shares of correct boxes; returns slope and shift.
 
-    rows: from `luxloop.loop.studies.training.scenes.draw`, of scenes not used in training; each is seen in full and in object-based light.
-    Raises LuxloopError if the scores do not separate correct boxes from wrong ones.
+    rows: of scenes not used in training, from `luxloop.loop.studies.training.scenes.draw`; each is exposed in full and in object-based
+    light. Raises LuxloopError if the scores do not separate correct boxes from wrong ones.
     """
     asked: list[tuple[float, bool]] = []
     for row in rows:
@@ -127,9 +126,9 @@ def calibrate(detector: NetworkDetector, rows: Sequence[Row]) -> tuple[float, fl
 
 
 def logistic(x: Tensor, right: Tensor) -> tuple[float, float]:
-    """Slope and shift of the logistic curve that fits best the probability of right (`[n]`, 0 or 1) over x, `[n]`.
+    """Slope and shift of the logistic curve for the probability of right (`[n]`, 0 or 1) over x `[n]`.
 
-    Targets are slightly inside 0..1, so that a best curve exists (Platt 1999).
+    Targets are slightly inside 0..1, so that the fit is finite (Platt 1999).
     """
     hits, misses = float(right.sum()), float((1 - right).sum())
     targets = torch.where(right > 0, (hits + 1) / (hits + 2), 1 / (misses + 2))

@@ -115,7 +115,7 @@ def test_black_after_darkness_is_no_change_of_light(small_rig: Start) -> None:
 
     def darken(rig: Rig, before_s: float | None) -> None:
         if eventually(lambda: rig.keeper.since_s != before_s):
-            rig.dark("somebody darkened it")
+            rig.keeper.dark("somebody darkened it")
 
     looks = watched(small_rig(dark_s=0.5), 10, advance)
     assert [number for number, each in enumerate(reasons) if each] == [5]

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from studio_answers import ANSWERS, PARTS
 from websockets.client import ClientProtocol
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
@@ -17,7 +18,6 @@ from websockets.uri import parse_uri
 
 import luxloop
 from luxloop.loop.recording.record import row
-from luxloop.loop.studio.answers import ANSWERS, PARTS
 from luxloop.loop.studio.messages import Button, Request
 from luxloop.loop.studio.server import MOST_ASKED
 from luxloop.loop.studio.session import SessionState

@@ -12,6 +12,7 @@ from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.scenario.overrides import overridden
 from luxloop.loop.simulation.build_lamps import mount
 from luxloop.loop.simulation.lamps import lamp_modules
+from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.simulated import simulated_plant
 from luxloop.perception.camera import expose
 from luxloop.perception.noise import FrameNoise
@@ -46,7 +47,7 @@ def shown(values: Mapping[str, float], blur_px: float = 0.0) -> list[RecordedExp
         luminance = world.luminance(0.0, lights)[0].double().numpy()
         luminance = gaussian_filter(luminance, blur_px) if blur_px else luminance
         image = expose(torch.from_numpy(luminance).float(), world.camera, FrameNoise.of(1, number, 0))
-        found.append(RecordedExposure(0.0, lights, (), image))
+        found.append((Exposure(0, 0.0, 0.0, lights), image))
     return found
 
 

@@ -19,6 +19,7 @@ from luxloop.loop.rig.simulated.rig import Ports, SimulatedRig
 from luxloop.loop.rig.wire import ddp
 from luxloop.loop.rig.wire.mjpeg import parts
 from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import ModuleCommand
 from tests.loop.rig.conftest import eventually
 from tests.loop.rig.simulated.conftest import DARK, faults_of, scenario_of
 
@@ -36,7 +37,7 @@ class Loop:
         self._answer = urllib.request.urlopen(f"http://127.0.0.1:{rig.pictures.port}/camera", timeout=10)
         threading.Thread(target=self._watch, daemon=True).start()
 
-    def show(self, level: int, timecode: int, commands: Sequence[ddp.WireCommand] | None = None) -> None:
+    def show(self, level: int, timecode: int, commands: Sequence[ModuleCommand] | None = None) -> None:
         codes = np.full(self.rig.rig_scene.pixels, level, np.uint8)
         ddp.send(self._socket, list(ddp.packets(codes, timecode, commands)))
 
@@ -131,11 +132,11 @@ def test_lost_packets_never_light_a_part() -> None:
 def test_commands_dim_a_module() -> None:
     with looped(DARK) as loop:
         for k in range(1, 15):
-            loop.show(100, k, (ddp.WireCommand(intensity=0.5),))
+            loop.show(100, k, (ModuleCommand(intensity=0.5),))
             time.sleep(0.02)
         dimmed = loop.came[-1][1].astype(float)
         for k in range(50, 65):
-            loop.show(50, k, (ddp.WireCommand(),))
+            loop.show(50, k, (ModuleCommand(),))
             time.sleep(0.02)
         assert abs(loop.came[-1][1] - dimmed).max() < 0.05 * dimmed.max()  # both ways through the lamp round differently
 

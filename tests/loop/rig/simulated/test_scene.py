@@ -10,11 +10,12 @@ from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.rig.simulated.camera import read_out
 from luxloop.loop.rig.simulated.faults import FaultParams, ScreenParams
 from luxloop.loop.rig.simulated.scene import RigScene, gloss
-from luxloop.loop.rig.wire.ddp import LightFrame, WireCommand
+from luxloop.loop.rig.wire.ddp import LightFrame
 from luxloop.loop.scenario.model import load
 from luxloop.loop.scenario.shipped import examples
 from luxloop.loop.simulation.simulated import simulated_plant
 from luxloop.loop.simulation.truth import LampModule
+from luxloop.world.headlight.lamp import ModuleCommand
 from tests.loop.rig.simulated.conftest import faults_of, light, scenario_of, seen_px
 
 Images = Callable[..., np.ndarray]
@@ -54,9 +55,9 @@ def test_a_lamp_is_as_wrong_as_it_is_said_to_be(rig_scene: RigScene, pattern: np
 
 def test_modules_are_turned_and_dimmed(rig_scene: RigScene, pattern: np.ndarray) -> None:
     right = rig_scene.light(light(pattern), 0.0)
-    dimmed = rig_scene.light(LightFrame(pattern, (1,), (WireCommand(intensity=0.25),)), 0.0)
+    dimmed = rig_scene.light(LightFrame(pattern, (1,), (ModuleCommand(intensity=0.25),)), 0.0)
     assert np.allclose(dimmed, right / 4, rtol=2e-2, atol=1e-3)
-    left = rig_scene.light(LightFrame(pattern, (1,), (WireCommand(swivel_deg=2.0),)), 0.0)
+    left = rig_scene.light(LightFrame(pattern, (1,), (ModuleCommand(swivel_deg=2.0),)), 0.0)
     columns = np.arange(160)
     assert (left * columns).sum() / left.sum() < (right * columns).sum() / right.sum() - 3, "2 deg are 8 px, of which the border takes some"
     assert np.allclose(rig_scene.light(light(pattern), 0.0), right), "and go back"

@@ -11,8 +11,9 @@ from luxloop.loop.rig.light import Shine
 from luxloop.loop.rig.lights import DdpLight
 from luxloop.loop.rig.params import DdpLightParams
 from luxloop.loop.rig.wire import ddp
-from luxloop.loop.rig.wire.ddp import Assembler, LightFrame, WireCommand, packets
+from luxloop.loop.rig.wire.ddp import Assembler, LightFrame, packets
 from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import ModuleCommand
 
 N = 4000  # pixels, three packets of 8 bits
 
@@ -24,13 +25,13 @@ def frame(seed: int, dtype: type = np.uint8) -> np.ndarray:
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_a_frame_comes_as_it_was_sent_in_any_order_of_packets(dtype: type) -> None:
     sent, assembler = frame(0, dtype), Assembler(N)
-    order = list(packets(sent, 7, (WireCommand(1.5, -0.25, 0.5),)))
+    order = list(packets(sent, 7, (ModuleCommand(1.5, -0.25, 0.5),)))
     assert len(order) == 1 + -(-sent.nbytes // 1440)
     random.Random(0).shuffle(order)
     *none, came = [assembler.take(packet) for packet in order]
     assert none == [None] * len(none)
     assert came.codes.dtype == dtype and (came.codes == sent).all()
-    assert came.timecodes == (7,) and came.commands == (WireCommand(1.5, -0.25, 0.5),)
+    assert came.timecodes == (7,) and came.commands == (ModuleCommand(1.5, -0.25, 0.5),)
 
 
 def lit(assembler: Assembler, sent: Iterable[bytes]) -> list[LightFrame]:
@@ -77,7 +78,7 @@ def test_a_mixing_lamp_lights_what_came_and_says_so() -> None:
 
 
 def test_a_frame_without_its_commands_is_incomplete_where_modules_are_commanded() -> None:
-    assembler, command = Assembler(N), (WireCommand(intensity=0.2),)
+    assembler, command = Assembler(N), (ModuleCommand(intensity=0.2),)
     assert lit(assembler, packets(frame(1), 1))[0].commands is None
     assert lit(assembler, packets(frame(2), 2, command))[0].commands == command
     assert not lit(assembler, packets(frame(3), 3))
@@ -87,13 +88,13 @@ def test_anything_else_is_refused() -> None:
     good, noise = next(packets(frame(0), 1)), random.Random(1)
     bad = [b"", good[:13], good[:-1], good + b"x", good[:4] + b"\xff\xff\xff\xf0" + good[8:], good[:2] + b"\x01" + good[3:]]
     bad += [good[:4] + b"\0\0\0\1" + good[8:], *(noise.randbytes(noise.randrange(1500)) for _ in range(2000))]
-    commanding = bytearray(next(packets(frame(0), 1, (WireCommand(),))))
+    commanding = bytearray(next(packets(frame(0), 1, (ModuleCommand(),))))
     bad += [bytes(commanding).replace(b"1.0", text) for text in (b"NaN", b"2.5", b"[[]", b'"a"')]
     assembler = Assembler(N)
     assert not any(assembler.take(packet) for packet in bad)
     assert assembler.refused == len(bad)
     with pytest.raises(LuxloopError, match="99 modules take"):
-        list(packets(frame(0), 1, (WireCommand(),) * 99))
+        list(packets(frame(0), 1, (ModuleCommand(),) * 99))
 
 
 class Receiver:

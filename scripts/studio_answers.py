@@ -1,15 +1,15 @@
-"""Heads of the messages of the studio's server (docs/programs.md), from which scripts/protocol.py makes the types of the page."""
+"""Heads of the studio server's messages (docs/programs.md), as a table for scripts/protocol.py, which makes the page's types."""
 
 from collections.abc import Mapping
-from typing import Any, Final, Literal, NotRequired
+from typing import Any, Literal, NotRequired
 
 Side = Literal["left", "right"]
 Vector = tuple[float, float, float]
 Matrix = list[float]  # 16 numbers of a pose, row by row
 Window = tuple[int, int, int, int]  # first row, end row, first column, end column
 
-PARTS: Final[Mapping[str, Mapping[str, Any]]] = {  # tables within them; lists and alternatives of these are written as such
-    # Something to choose from.
+PARTS: Mapping[str, Mapping[str, Any]] = {  # tables within answers; ["Name"] is a list, ("Name", None) an alternative
+    # A choice.
     "Named": {"name": str, "description": str},
     # A lamp's module: its grids, and how far it can turn from rest.
     "Module": {
@@ -34,7 +34,7 @@ PARTS: Final[Mapping[str, Mapping[str, Any]]] = {  # tables within them; lists a
     "Column": {"name": str, "unit": str, "description": str},
     # A point source without shadows.
     "StreetLamp": {"position_m": Vector, "intensity_cd": float},
-    # What the page must know of a run.
+    # Facts of a run.
     "Run": {
         "label": str,
         "overrides": list[str],
@@ -47,7 +47,7 @@ PARTS: Final[Mapping[str, Mapping[str, Any]]] = {  # tables within them; lists a
         "road": str,
         "street_lamps": ["StreetLamp"],
     },
-    # The scenario as it is now, with all defaults.
+    # The current scenario with all defaults.
     "Model": {"steps": int, "seed": int, "[key: string]": Any},
     # A body. box: of a texture, least x and y, largest x and y in m of the body's frame.
     "MeshHead": {
@@ -64,21 +64,21 @@ PARTS: Final[Mapping[str, Mapping[str, Any]]] = {  # tables within them; lists a
         "text": str,
         "at": tuple[int, int],
     },
-    # Where a module is, and the unit of its light texture.
+    # Pose of a module, and the unit of its light texture.
     "ModulePose": {"T_world_module": Matrix, "scale_cd": float},
-    # Where a body is.
+    # Pose of a body.
     "BodyPose": {"mesh": int, "T_world_body": Matrix},
     # A lamp of another vehicle.
     "Spotlight": {"position_m": Vector, "axis": Vector, "intensity_cd": float, "width_deg": tuple[float, float]},
-    # A symbol that a controller holds: pose of its primitive, why it was lost, corners of its target.
+    # A held symbol: pose of its primitive, reason of its loss, corners of its target.
     "Symbol": {"pose": tuple[float, float, float, float], "loss": str, "target": list[Vector]},
-    # A requirement, and what the light does of it; passed: null where it does not apply.
+    # A requirement and the light's value; passed: null if not applicable.
     "BeamPoint": {"id": str, "where": tuple[float, float] | None, "value": float, "unit": str, "limit": str, "passed": bool | None},
-    # Pixels of a module, and the intensity that they give together.
+    # Pixels of a module, and their total intensity.
     "ModulePixels": {"module": int, "pixels": list[int], "cd": float},
 }
-ANSWERS: Final[Mapping[str, Mapping[str, Any]]] = {  # by type of the message, without `type`
-    # Runs were made anew. acts: when keys act, by the beginning of a key; the longest counts.
+ANSWERS: Mapping[str, Mapping[str, Any]] = {  # by type of the message, without `type`
+    # New runs. acts: when a key takes effect, by prefix of the key; the longest prefix counts.
     "scenario": {
         "number": int,
         "name": str,
@@ -90,7 +90,7 @@ ANSWERS: Final[Mapping[str, Mapping[str, Any]]] = {  # by type of the message, w
         "model": "Model",
         "acts": dict[str, Literal["step", "prepared", "restart"]],
     },
-    # What there is to choose from; names of recordings are folders.
+    # Choices; names of recordings are folders.
     "choices": {
         "scenarios": ["Named"],
         "controllers": ["Named"],
@@ -99,9 +99,9 @@ ANSWERS: Final[Mapping[str, Mapping[str, Any]]] = {  # by type of the message, w
         "lamps": list[str],
         "recordings": ["Named"],
     },
-    # Bodies that the client lacks, with arrays of each.
+    # New bodies, with arrays of each.
     "meshes": {"run": int, "meshes": ["MeshHead"]},
-    # A step. light_windows: of the texels in `light.K`.
+    # A step. light_windows: window of the texels in `light.K`.
     "step": {
         "id": int,
         "run": int,
@@ -119,9 +119,9 @@ ANSWERS: Final[Mapping[str, Mapping[str, Any]]] = {  # by type of the message, w
         "marks": ["Mark"],
         "notes": list[str],
     },
-    # Values of steps, from the first on.
+    # Values of consecutive steps from `first` on.
     "rows": {"run": int, "first": int},
-    # What the session does. recording: folder below runs that the first run is recorded into.
+    # State of the session. recording: folder below runs into which the first run is recorded.
     "status": {
         "playing": bool,
         "speed": float | None,
@@ -134,11 +134,11 @@ ANSWERS: Final[Mapping[str, Mapping[str, Any]]] = {  # by type of the message, w
     },
     # The answer to `hello`.
     "welcome": {"protocol": int, "version": str, "role": Literal["edit", "watch"], "id": int},
-    # What is refused, in a sentence. about: type of the message.
+    # A refusal in a sentence. about: type of the refused message.
     "error": {"text": str, "about": str | None},
-    # What is being prepared.
+    # Progress of a preparation.
     "progress": {"text": str | None},
-    # A run goes on with other values of keys. model, facts: of the newest edit.
+    # An edit: a run continues with other values of keys. model, facts: of the newest edit.
     "edit": {"run": int, "step": int, "overrides": list[str], "model": ("Model", None), "facts": ("Run", None)},
     # The scenario as TOML.
     "saved": {"name": str, "text": str},
@@ -146,10 +146,10 @@ ANSWERS: Final[Mapping[str, Mapping[str, Any]]] = {  # by type of the message, w
     "schema": {"schema": dict[str, Any]},
     # Results so far, as the recording's summary.
     "summary": {"run": int, "summary": dict[str, Any]},
-    # A regulation's verdict.
+    # Result of a regulation's requirements.
     "beam": {"run": int, "rule": str, "side": str, "points": ["BeamPoint"]},
     # The pixels that light a point.
     "place": {"point_m": Vector, "modules": ["ModulePixels"]},
-    # How near the light comes to what was wanted.
+    # Deviation of the light from the wanted illuminances.
     "wish": {"on": Literal["road", "wall"], "wanted_lx": float, "rmse_lx": float, "worst_lx": float, "pixels": int},
 }
