@@ -13,6 +13,7 @@ from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.commands import cli
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.loop.scenario.overrides import overridden
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulated import SimulatedPlant
@@ -60,6 +61,31 @@ def simulation_of(scenario: Scenario) -> Simulation:
     """The simulation of a scenario, with the lamps and the world of the one before where they are the same."""
     newest[:] = [prepare(scenario, "cpu", *newest)]
     return newest[0]
+
+
+def toml(text: str) -> dict[str, Any]:
+    """Plain data of the lines of a TOML table, or of one in braces."""
+    return tomllib.loads(f"it = {text}")["it"] if text.startswith("{") else tomllib.loads(text)
+
+
+def scenario_of(base: str, *overrides: str, **changes: Any) -> Scenario:
+    """The scenario of a TOML text with other tables, and values as of `--set`."""
+    return validate(overridden(tomllib.loads(base) | changes, overrides), "test")
+
+
+def simulated(base: str, *overrides: str, **changes: Any) -> Simulation:
+    """The simulation of that scenario."""
+    return simulation_of(scenario_of(base, *overrides, **changes))
+
+
+def box(name: str, size_m: Sequence[float], *places: tuple[float, float, float], **more: Any) -> dict[str, Any]:
+    """A box that is at one place (x, y in m, heading in deg) after the other, a second each."""
+    track = [{"time_s": float(k), "position_m": (x, y, 0.0), "yaw_deg": yaw_deg} for k, (x, y, yaw_deg) in enumerate(places)]
+    return {"kind": "box", "name": name, "size_m": size_m, "track": track} | more
+
+
+def van(*places: tuple[float, float, float], **more: Any) -> dict[str, Any]:
+    return box("van", (4.5, 1.8, 1.9), *places, category="car", **more)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -124,3 +150,10 @@ def assert_one_sentence(error: str) -> None:
     assert error.startswith("error: ")
     assert error.count("\n") == 1 and error.endswith("\n")
     assert "Traceback" not in error and not re.search(r"\.\s+[A-Z]", error)
+
+
+def assert_refused(done: tuple[int, str, str], *words: str) -> None:
+    """A command line ends with one sentence that has all words."""
+    code, _, error = done
+    assert code == cli.WRONG and all(word in error for word in words), error
+    assert_one_sentence(error)

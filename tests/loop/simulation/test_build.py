@@ -5,15 +5,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from luxloop.loop.scenario.model import Scenario, load, validate
+from luxloop import Lamp, Module, Scenario, Simulation, idealised, load, pose_from_degrees
 from luxloop.loop.simulation.build_lamps import mount
 from luxloop.loop.simulation.build_scene import build_motion, build_scene
 from luxloop.loop.simulation.part_cache import PartCache
-from luxloop.world.frames import pose_from_degrees
-from luxloop.world.headlight.lamp import Lamp, Module
 from luxloop.world.lamps import archive
-from luxloop.world.lamps.presets import idealised
-from tests.loop.conftest import simulation_of
+from tests.loop.conftest import scenario_of, simulation_of, toml
 from tests.refusal import refusal
 
 
@@ -43,34 +40,30 @@ def test_modules_are_where_they_are_mounted_and_the_finest_one_draws(tmp_path: P
     aside = pose_from_degrees((0.0, 0.1, 0.05), pitch_deg=0.5)
     archive.save(tmp_path / "lamp.npz", Lamp("lamp", (Module("wide", wide), Module("fine", fine, aside))))
     small = ["camera={ width_px=320, height_px=180 }", "renderer=raycast", "headlight.lamps=['left', 'right']"]
-    scenario = load("flat", [f"headlight.model={tmp_path / 'lamp.npz'}", *small])
-    simulation = simulation_of(scenario)
+
+    def drawing(*more: str) -> Simulation:
+        return simulation_of(load("flat", [f"headlight.model={tmp_path / 'lamp.npz'}", *small, *more]))
+
+    simulation = drawing()
     (module,) = simulation.symbol.projector.modules
     assert module.name == "left fine" and simulation.symbol.drawn_by == (1,)
-    expected = pose_from_degrees((0.0, 0.7, 0.8), pitch_deg=0.5)
-    torch.testing.assert_close(module.T_body_headlight, expected, rtol=0, atol=1e-12)
+    torch.testing.assert_close(module.T_body_headlight, pose_from_degrees((0.0, 0.7, 0.8), pitch_deg=0.5), rtol=0, atol=1e-12)
     assert module.pixel_controller.headlight.peak_cd == pytest.approx(50_000)
     assert [bool(u.any()) for u in simulation.at(0).lights] == [False, True, False, False]
-    for named, drawing in ((("fine",), (1, 3)), (("right",), (2, 3)), (("right fine",), (3,))):
-        symbol = scenario.symbol.model_copy(update={"modules": named})
-        assert simulation_of(scenario.model_copy(update={"functions": {"symbol": symbol}})).symbol.drawn_by == drawing
+    for named, by in (("fine", (1, 3)), ("right", (2, 3)), ("right fine", (3,))):
+        assert drawing(f"functions.symbol.modules=['{named}']").symbol.drawn_by == by
 
 
-def test_named_modules_of_both_lamps_shine_and_the_brightest_gets_the_intensity(scenario: Scenario) -> None:
-    both = with_headlight(scenario, lamps=("left", "right"), modules=("wide", "narrow"), intensity_cd=8000.0)
-    modules = mount(both.headlight)
-    assert [module.name for module in modules] == ["left wide", "left narrow", "right wide", "right narrow"]
-    assert [module.headlight.peak_cd for module in modules] == pytest.approx([4000, 8000, 4000, 8000])
-    # The right lamp is the left one's mirror image.
+def test_modules_shine_mirrored_turned_and_as_bright_as_asked(scenario: Scenario) -> None:
+    modules = mount(with_headlight(scenario, lamps=("left", "right"), modules=("wide", "narrow"), intensity_cd=8000.0).headlight)
+    assert [(module.name, module.headlight.peak_cd) for module in modules] == [
+        *(("left wide", 4000), ("left narrow", pytest.approx(8000)), ("right wide", 4000), ("right narrow", pytest.approx(8000)))
+    ]
     assert [float(module.T_world_module[1, 3]) for module in modules] == pytest.approx([0.6, 0.7, -0.6, -0.7])
     (alone,) = mount(with_headlight(scenario, modules=("narrow",)).headlight)
     assert alone.name == "left narrow" and [each.name for each in mount(scenario.headlight)] == ["left wide", "left narrow"]
-
-
-def test_what_can_turn_is_turned_and_the_rest_stays(scenario: Scenario) -> None:
-    turned = with_headlight(scenario, modules=("wide", "narrow"), swivel_deg=10.0, level_deg=1.5)
-    wide, narrow = mount(turned.headlight)
-    assert wide.T_world_module[:3, :3].equal(torch.eye(3, dtype=torch.float64))
+    wide, narrow = mount(with_headlight(scenario, swivel_deg=10.0, level_deg=1.5).headlight)
+    assert wide.T_world_module[:3, :3].equal(torch.eye(3, dtype=torch.float64)), "it cannot turn"
     expected = pose_from_degrees((0, 0, 0), pitch_deg=0.5)[:3, :3] @ pose_from_degrees((0, 0, 0), 0, 1.5, 10)[:3, :3]
     torch.testing.assert_close(narrow.T_world_module[:3, :3], expected, rtol=0, atol=1e-12)
 
@@ -81,7 +74,7 @@ def test_what_can_turn_is_turned_and_the_rest_stays(scenario: Scenario) -> None:
         ({"modules": ("narow",)}, "no module 'narow'; it has wide, narrow"),
         ({"swivel_deg": 15.0}, "left lamp, module 'narrow': swivel of 15 deg.*-5 to 12 deg$"),
         ({"swivel_deg": 10.0, "lamps": ("left", "right")}, "right lamp, module 'narrow': swivel of 10 deg.*-12 to 5 deg; .*mirror image"),
-        ({"modules": ("wide",), "level_deg": 1.0}, "headlight.level_deg.*wide.*turn"),
+        (toml("{ modules = ['wide'], level_deg = 1.0 }"), "headlight.level_deg.*wide.*turn"),
         ({"model": "ssl-hdd"}, "'ssl-hdd'.*'ssl-hd'"),
     ],
 )
@@ -91,9 +84,8 @@ def test_what_the_lamp_has_not_is_named(scenario: Scenario, values: dict, words:
 
 
 def test_the_road_is_there_under_all_that_is_met_on_a_drive() -> None:
-    drive = {"course": [{"speed_m_s": 15.0}]}
-    traffic = {"seed": 3, "cars": 3, "parked": 2, "clutter": 4}
-    given = validate({"name": "met", "steps": 90, "rate_hz": 30, "vehicle": drive, "traffic": traffic, "road": {"kind": "iso8608"}}, "met")
+    traffic = toml("{ seed = 3, cars = 3, parked = 2, clutter = 4 }")
+    given = scenario_of('name = "met"\nsteps = 90\nroad.kind = "iso8608"\nvehicle.course = [{ speed_m_s = 15.0 }]', traffic=traffic)
     motion = build_motion(given, PartCache())
     scene = build_scene(given, motion)
     farthest_m = 0.0

@@ -9,35 +9,31 @@ import pytest
 import torch
 from rich.console import Console
 
-from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
+from luxloop import Arrivals, Exposure, ExtractionStatus, Observation, Simulation, Utilisation
+from luxloop.controllers.symbol.sensing.protocol import Projection
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.report.run_table import summary_table
 from luxloop.loop.run import run as luxloop_run
-from luxloop.loop.scenario.model import validate
-from luxloop.loop.simulation.protocol import Arrivals, Exposure
 from luxloop.loop.simulation.result import StepResult
-from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.extraction import ExtractionStatus
 from tests.lamps import SMALL_LAMP
-from tests.loop.conftest import simulation_of
+from tests.loop.conftest import box, scenario_of, simulated, toml
 from tests.refusal import sentence
 
-WORLD: dict[str, Any] = {
-    "name": "held",
-    "steps": 10,
-    "road": {"kind": "bumps", "seed": 3},
-    "headlight": {"model": SMALL_LAMP, "lamps": ["left"]},
-    "camera": {"width_px": 320, "height_px": 180, "oversampling": 2},
-    "light": {"ambient_lx": 0.3},
-}
-FLAKE: dict[str, Any] = {"kind": "symbol", "image": "snowflake", "controller": "luxloop"}
-START = {"x_m": 15.0, "y_m": -0.8, "roll_deg": 3.0, "pitch_deg": -1.0}
-LEFT, RIGHT = FLAKE | {"x_m": 17.5, "y_m": 1.6}, FLAKE | {"image": "chevrons", "x_m": 16.0, "y_m": -1.6}
+WORLD = f"""
+name = "held"
+steps = 10
+road = {{ kind = "bumps", seed = 3 }}
+headlight = {{ model = "{SMALL_LAMP}", lamps = ["left"] }}
+camera = {{ width_px = 320, height_px = 180, oversampling = 2 }}
+light.ambient_lx = 0.3
+"""
+FLAKE: dict[str, Any] = toml("{ kind = 'symbol', image = 'snowflake', controller = 'luxloop' }")
+START = toml("{ x_m = 15.0, y_m = -0.8, roll_deg = 3.0, pitch_deg = -1.0 }")
+LEFT, RIGHT = FLAKE | {"x_m": 17.5, "y_m": 1.6}, FLAKE | toml("{ image = 'chevrons', x_m = 16.0, y_m = -1.6 }")
 
 
-def simulation(functions: dict[str, Any], **changes: Any) -> Simulation:
-    return simulation_of(validate(WORLD | {"functions": functions} | changes, "held"))
+def simulation(functions: dict[str, Any], *overrides: str, **changes: Any) -> Simulation:
+    return simulated(WORLD, *overrides, functions=functions, **changes)
 
 
 def run(functions: dict[str, Any], **changes: Any) -> list[StepResult]:
@@ -52,9 +48,9 @@ def ious(results: Sequence[StepResult], name: str) -> list[float]:
 
 @pytest.mark.parametrize("controller", ["luxloop", pytest.param("thesis_pid", marks=pytest.mark.slow)])
 def test_a_mask_over_a_part_neither_moves_nor_loses_a_symbol(controller: str) -> None:
-    box = {"kind": "box", "name": "box", "category": "car", "size_m": [1.0, 0.5, 0.6], "track": [{"position_m": [15.2, 1.0, 0]}]}
+    car = box("box", (1.0, 0.5, 0.6), (15.2, 1.0, 0.0), category="car")
     flake = FLAKE | {"controller": controller}
-    plain, masked = (run({"flake": flake} | more, objects=[box]) for more in ({}, {"guard": {"kind": "glare_free"}}))
+    plain, masked = (run({"flake": flake} | more, objects=[car]) for more in ({}, {"guard": {"kind": "glare_free"}}))
     assert all(each.objects["box"].lx_max == 0 for each in masked)
     assert float(masked[-1].illuminance.sum()) < 0.9 * float(plain[-1].illuminance.sum()), "the mask takes nothing"
     assert {int(each.held["flake"].measurement.code) for each in masked} == {ExtractionStatus.SEEN}
@@ -64,10 +60,10 @@ def test_a_mask_over_a_part_neither_moves_nor_loses_a_symbol(controller: str) ->
 
 
 def test_a_symbol_under_other_functions_is_lost_as_covered_and_they_are_named(tmp_path: Path) -> None:
-    wall = {"kind": "box", "name": "wall", "category": "car", "size_m": [6.0, 5.0, 0.1], "track": [{"position_m": [17.0, 0.0, 0]}]}
-    beside = {"kind": "symbol", "image": "chevrons", "x_m": 30.0, "y_m": 3.0, "priority": 9}
+    wall = box("wall", (6.0, 5.0, 0.1), (17.0, 0.0, 0.0), category="car")
+    beside = toml("{ kind = 'symbol', image = 'chevrons', x_m = 30.0, y_m = 3.0, priority = 9 }")
     functions = {"flake": FLAKE | {"controller": "open"}, "guard": {"kind": "glare_free"}, "beside": beside}
-    given = validate(WORLD | {"functions": functions, "objects": [wall], "steps": 11}, "covered")
+    given = scenario_of(WORLD, "steps=11", functions=functions, objects=[wall])
     done = luxloop_run(given, tmp_path / "covered", device="cpu", video=False, report=False)
     assert set(done.trajectory["functions.flake.loss"].to_pylist()) == {"covered"}
     told = done.summary["functions"]["flake"]
@@ -85,7 +81,7 @@ def test_symbols_apart_are_measured_in_each_step_and_each_is_evaluated_by_itself
 
 
 def test_symbols_that_meet_take_turns_and_stay_lit_in_the_other_ones() -> None:
-    both = simulation({"lower": FLAKE, "upper": FLAKE | {"image": "chevrons", "x_m": 15.0, "y_m": -0.6, "priority": 1}})
+    both = simulation({"lower": FLAKE, "upper": FLAKE | toml("{ image = 'chevrons', x_m = 15.0, y_m = -0.6, priority = 1 }")})
     results = list(both.evaluations())
     turns = [[name for name, held in each.held.items() if held.metrics is not None] for each in results]
     assert turns == [["lower"], ["upper"]] * 5
@@ -111,36 +107,32 @@ def test_a_run_is_recorded_by_symbol_and_compared_with_the_open_loop() -> None:
     assert opened.held["flake"].pose.tolist() == pytest.approx([17.0, 0.0, 0.0, 0.0])
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"observer": {}}, ["functions.flake", "observer", "leave it out"]),
-        ({"yaw_deg": 10.0}, ["yaw_deg"]),
-        ({"animation": {"kind": "blink"}}, ["animation"]),
-        (
-            {"start": {"x_m": 45.0}, "controller": {"name": "thesis_pid"}},
-            ["functions.flake: start.x_m", "controller.x_range_m"],
-        ),
-        ({"target": "place", "controller": "thesis_pid"}, ["target", "cannot hold a place"]),
-        ({"x_m": 200.0}, ["x_m", "100"]),
-        ({"controller": "luxlop"}, ["luxlop", "luxloop"]),
-        ({"controller": None, "start": START}, ["start", 'controller = "luxloop"']),
-        ({"modules": ["right"]}, ["functions.flake.modules", "'right'", "left"]),
-        ({"y_m": 15.0}, ["functions.flake", "outside of the camera's view"]),
-        ({"image": "snowflak"}, ["functions.flake.image", "snowflake"]),
-    ],
-)
-def test_what_cannot_be_held_is_refused_in_a_sentence(changes: dict[str, Any], words: list[str]) -> None:
-    with sentence(*words):
-        simulation({"flake": {key: value for key, value in (FLAKE | changes).items() if value is not None}})
+WRONG = {
+    "observer": {"observer": {}},
+    "yaw_deg": {"yaw_deg": 10.0},
+    "animation": {"animation": {"kind": "blink"}},
+    "controller.x_range_m": toml("{ start.x_m = 45.0, controller.name = 'thesis_pid' }"),
+    "cannot hold a place": {"target": "place", "controller": "thesis_pid"},
+    "x_m": {"x_m": 200.0},
+    "luxlop": {"controller": "luxlop"},
+    "functions.flake.modules": {"modules": ["right"]},
+    "outside of the camera's view": {"y_m": 15.0},
+    "functions.flake.image": {"image": "snowflak"},
+}
+
+
+@pytest.mark.parametrize(("words", "changes"), WRONG.items(), ids=WRONG)
+def test_what_cannot_be_held_is_refused_in_a_sentence(words: str, changes: dict[str, Any]) -> None:
+    with sentence("functions.flake", words):
+        simulation({"flake": FLAKE | changes})
 
 
 def test_the_share_of_a_step_without_the_symbol_weighs_the_means_and_moves_no_symbol() -> None:
     """A car that stands sees the same at other times, and the light of both exposures stays as it is."""
-    box = {"kind": "box", "name": "box", "category": "car", "size_m": [0.2, 1.0, 0.3], "track": [{"position_m": [16.5, 0.0, 0]}]}
-    functions = {"flake": FLAKE}
-    camera = WORLD["camera"] | {"exposure_s": 0.008}
-    half, quarter = (simulation(functions, objects=[box], camera=camera, off_share=share, steps=4) for share in (0.5, 0.25))
+    car = box("box", (0.2, 1.0, 0.3), (16.5, 0.0, 0.0), category="car")
+    half, quarter = (
+        simulation({"flake": FLAKE}, f"off_share={share}", "camera.exposure_s=0.008", "steps=4", objects=[car]) for share in (0.5, 0.25)
+    )
     for a, b in zip(half.evaluations(), quarter.evaluations(), strict=True):
         assert a.held["flake"].pose.equal(b.held["flake"].pose)
         on, off = b.exposures
@@ -158,7 +150,7 @@ def test_the_share_of_a_step_without_the_symbol_weighs_the_means_and_moves_no_sy
 
 def test_what_a_frame_says_that_it_shows_is_what_is_measured() -> None:
     """The controller on a plant that shows half of what is asked for gets the light that was shown."""
-    asked = simulation({"flake": FLAKE | {"start": START, "controller": "thesis_pid"}}, steps=4)
+    asked = simulation({"flake": FLAKE | {"start": START, "controller": "thesis_pid"}}, "steps=4")
 
     class Half:
         def start(self) -> tuple[Any, Arrivals]:

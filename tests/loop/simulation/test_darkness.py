@@ -5,56 +5,48 @@ from typing import Any
 import pytest
 import torch
 
-from luxloop.loop.scenario.model import Scenario, load, validate
+from luxloop import Simulation, load
 from luxloop.loop.scenario.shipped import scenario_files
 from luxloop.loop.simulation.result import StepResult
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.world.frames import View
 from luxloop.world.light.illumination import illuminance, lit_surface
 from luxloop.world.rendering.gbuffer import gbuffer
-from tests.loop.conftest import simulation_of
+from tests.loop.conftest import box, simulated, simulation_of, toml
 
-SIZES = {  # length, width, height in m
-    "pole": (0.05, 0.05, 2.0),
-    "walker": (0.3, 0.5, 1.8),
-    "motorcycle": (2.1, 0.8, 1.4),
-    "car": (4.5, 1.8, 1.5),
-    "truck": (12.0, 2.5, 4.0),
-}
+SIZES = toml("""
+pole = [0.05, 0.05, 2.0]
+walker = [0.3, 0.5, 1.8]
+motorcycle = [2.1, 0.8, 1.4]
+car = [4.5, 1.8, 1.5]
+truck = [12.0, 2.5, 4.0]
+""")
 # Where they are at three times: x, y in m and heading in deg, near and far, ahead and aside, straight on and across.
-PLACES = {
-    "pole": ((9.0, -1.0, 0.0), (25.0, 1.5, 45.0), (60.0, -0.3, 10.0)),
-    "walker": ((14.0, 2.0, 90.0), (40.0, -2.5, 70.0), (8.0, 0.3, 0.0)),
-    "motorcycle": ((30.0, -0.5, 180.0), (12.0, -1.6, 160.0), (80.0, 1.0, 0.0)),
-    "car": ((45.0, 3.3, 180.0), (70.0, 0.0, 2.0), (22.0, 4.0, 170.0)),
-    "truck": ((90.0, 0.0, 0.0), (55.0, 4.5, 180.0), (35.0, -5.0, -20.0)),
-}
+PLACES = toml("""
+pole = [[9.0, -1.0, 0.0], [25.0, 1.5, 45.0], [60.0, -0.3, 10.0]]
+walker = [[14.0, 2.0, 90.0], [40.0, -2.5, 70.0], [8.0, 0.3, 0.0]]
+motorcycle = [[30.0, -0.5, 180.0], [12.0, -1.6, 160.0], [80.0, 1.0, 0.0]]
+car = [[45.0, 3.3, 180.0], [70.0, 0.0, 2.0], [22.0, 4.0, 170.0]]
+truck = [[90.0, 0.0, 0.0], [55.0, 4.5, 180.0], [35.0, -5.0, -20.0]]
+""")
 LAMPS = ("hd84", "ssl-hd", "idealised-332x1024")
-MASK = {"kind": "glare_free", "categories": ["other"], "margin_m": 0.0, "margin_deg": 0.0}  # the box itself: no margin hides a fault
 
 
-def scenario(model: str, **changes: Any) -> Scenario:
-    def track(name: str) -> list[dict[str, Any]]:
-        return [{"time_s": float(k), "position_m": (x, y, 0.0), "yaw_deg": yaw} for k, (x, y, yaw) in enumerate(PLACES[name])]
+DARK = """
+name = "dark"
+steps = 3
+rate_hz = 1
+renderer = "raycast"
+camera = { width_px = 480, height_px = 120, hfov_deg = 34, pitch_deg = 1.0 }
+surface.grain = 0.0
+lighting.base.beam = "full"
+functions.guard = { kind = "glare_free", categories = ["other"], margin_m = 0.0, margin_deg = 0.0 }  # no margin hides a fault
+"""
 
-    boxes = [{"kind": "box", "name": name, "category": "other", "size_m": size, "track": track(name)} for name, size in SIZES.items()]
-    return validate(
-        {
-            "name": model,
-            "steps": 3,
-            "rate_hz": 1,
-            "headlight": {"model": model},
-            "camera": {"width_px": 480, "height_px": 120, "hfov_deg": 34, "pitch_deg": 1.0},
-            "surface": {"grain": 0.0},
-            "objects": boxes,
-            "lighting": {"base": {"beam": "full"}},
-            "functions": {"guard": MASK},
-            "renderer": "raycast",
-            **changes,
-        },
-        model,
-    )
+
+def simulation(model: str, *overrides: str, **changes: Any) -> Simulation:
+    boxes = [box(name, size, *PLACES[name], category="other") for name, size in SIZES.items()]
+    return simulated(DARK, f"headlight.model={model}", *overrides, **{"objects": boxes, **changes})
 
 
 def views(simulation: Simulation) -> dict[str, View]:
@@ -82,33 +74,31 @@ def most_light(simulation: Simulation, result: StepResult, names: set[str]) -> d
 
 @pytest.mark.parametrize("model", LAMPS)
 def test_masked_bodies_get_exactly_no_light(model: str) -> None:
-    simulation = simulation_of(scenario(model))
+    masked = simulation(model)
     for step in range(3):
-        result = simulation.at(step)
-        light = most_light(simulation, result, set(SIZES))
+        result = masked.at(step)
+        light = most_light(masked, result, set(SIZES))
         assert {"pole", "car"} <= {name for seen in light.values() for name in seen}, "a body is not in sight"
         assert all(lx == 0.0 for seen in light.values() for lx in seen.values()), (step, light)
         assert result.dark_lx_max == 0.0
 
 
 def test_without_a_mask_they_are_lit() -> None:
-    simulation = simulation_of(scenario("hd84", functions={}))
-    light = most_light(simulation, simulation.at(0), set(SIZES))
+    bright = simulation("hd84", "functions={}")
+    light = most_light(bright, bright.at(0), set(SIZES))
     assert all(lx > 0.5 for lx in light["camera"].values()), light
 
 
 def test_a_mask_that_fades_lights_no_other_masked_body() -> None:
     """A van vanishes before one car and a second one beside another, and their masks fade out over the next 0.6 s."""
-
-    def box(name: str, x: float, y: float, **track: float) -> dict[str, Any]:
-        return {"kind": "box", "name": name, "category": "car", "size_m": SIZES["car"], "track": [{"position_m": (x, y, 0.0)}], **track}
-
-    boxes = [box("car", 50.0, 0.0), box("before", 20.0, 0.0, vanishes_s=0.1), box("beside", 48.0, 3.0, vanishes_s=0.1)]
-    simulation = simulation_of(scenario("hd84", rate_hz=4, objects=boxes, functions={"guard": {"kind": "glare_free"}}))
+    places = {"car": (50.0, 0.0, 0.0), "before": (20.0, 0.0, 0.0), "beside": (48.0, 3.0, 0.0)}
+    gone = {"vanishes_s": 0.1}
+    boxes = [box(name, SIZES["car"], place, category="car", **(gone if name != "car" else {})) for name, place in places.items()]
+    fading = simulation("hd84", "rate_hz=4", objects=boxes, functions={"guard": {"kind": "glare_free"}})
     for step in (1, 2):
-        result = simulation.at(step)
+        result = fading.at(step)
         assert result.dark_lx_max == 0.0 and result.objects["car"].masked
-        assert all(light["car"] == 0.0 for light in most_light(simulation, result, {"car"}).values()), step
+        assert all(light["car"] == 0.0 for light in most_light(fading, result, {"car"}).values()), step
 
 
 @pytest.mark.parametrize("name", [name for name in scenario_files() if name.startswith("gfhb")])

@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from luxloop.loop.scenario.model import validate
-from luxloop.loop.simulation.simulation import Simulation
+from luxloop import Simulation, validate
 from tests.loop.conftest import SMALL
 
 SYMBOL = SMALL["functions"]["symbol"] | {"controller": "luxloop"}

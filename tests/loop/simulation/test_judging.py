@@ -5,49 +5,49 @@ from typing import Any
 import pytest
 
 from luxloop.loop.recording.record import row
-from luxloop.loop.scenario.model import validate
-from tests.loop.conftest import simulation_of
+from tests.loop.conftest import simulated, toml
 
-COMING = {"kind": "car", "name": "coming", "seed": 1, "path": {"points_m": [[30, 3.5, 0], [0, 3.5, 0]], "speed_m_s": 10.0}}
-AHEAD = {"kind": "car", "name": "ahead", "seed": 1, "path": {"points_m": [[30, 0, 0], [90, 0, 0]], "speed_m_s": 10.0}}
-BAND = {"kind": "path", "control_m": [[18.0, 0.0], [26.0, 0.0]], "width_m": 3.0, "quantity": "E_v", "value": 3.0}
+COMING = toml("{ kind = 'car', name = 'coming', seed = 1, path = { points_m = [[30, 3.5, 0], [0, 3.5, 0]], speed_m_s = 10.0 } }")
+AHEAD = toml("{ kind = 'car', name = 'ahead', seed = 1, path = { points_m = [[30, 0, 0], [90, 0, 0]], speed_m_s = 10.0 } }")
+BAND = toml("{ kind = 'path', control_m = [[18.0, 0.0], [26.0, 0.0]], width_m = 3.0, quantity = 'E_v', value = 3.0 }")
 
 
-def rows(steps: int, **changes: Any) -> list[dict[str, Any]]:
-    base = {
-        "name": "lit",
-        "steps": steps,
-        "rate_hz": 10,
-        "headlight": {"model": "ssl-hd", "modules": ["lores", "hires"]},
-        "camera": {"width_px": 320, "height_px": 180, "pitch_deg": 1.5, "oversampling": 1},
-        "detector": {"kind": "truth"},
-        "renderer": "raycast",
-    }
-    return [row(result) for result in simulation_of(validate(base | changes, "lit")).evaluations()]
+LIT = """
+name = "lit"
+rate_hz = 10
+renderer = "raycast"
+headlight = { model = "ssl-hd", modules = ["lores", "hires"] }
+camera = { width_px = 320, height_px = 180, pitch_deg = 1.5, oversampling = 1 }
+detector.kind = "truth"
+"""
+
+
+def rows(steps: int, beam: str, **changes: Any) -> list[dict[str, Any]]:
+    return [row(result) for result in simulated(LIT, f"steps={steps}", f"lighting.base.beam={beam}", **changes).evaluations()]
 
 
 @pytest.mark.parametrize(("share", "least", "most"), [(True, 0.8, 1.15), (False, 1.5, 4.1)], ids=["shared", "each gives the whole"])
 def test_four_modules_give_one_setpoint_unless_each_gives_the_whole(share: bool, least: float, most: float) -> None:
-    (one,) = rows(1, functions={"band": BAND | {"share": share}}, lighting={"base": {"beam": "low"}})
+    (one,) = rows(1, "low", functions={"band": BAND | {"share": share}})
     assert least < one["road_lx_ratio_max"] < most  # lores pixels miss by a tenth; two to four modules reach the band
 
 
 def test_the_light_of_one_module_alone_adds_up_with_nothing() -> None:
-    band = BAND | {"control_m": [[18.0, -1.2], [18.0, 1.2]], "width_m": 1.0, "modules": ["left hires"], "value": 12.0}
-    (one,) = rows(1, functions={"band": band}, lighting={"base": {"beam": "off"}})
+    band = BAND | toml("{ control_m = [[18.0, -1.2], [18.0, 1.2]], width_m = 1.0, modules = ['left hires'], value = 12.0 }")
+    (one,) = rows(1, "off", functions={"band": band})
     assert one["road_lx_ratio_max"] < 1, "a pixel that lies across the band's border lights all that its light reaches"
 
 
 def test_what_two_lamps_share_on_a_pedestrian_adds_up_on_the_road_behind() -> None:
-    aside = {"kind": "pedestrian", "name": "aside", "seed": 5, "track": [{"position_m": [10.0, 3.0, 0.0], "yaw_deg": 90.0}]}
-    light = {"kind": "object_based", "method": "constant", "setpoint_lx": 6.0, "share": 0.2}
-    *_, last = rows(5, objects=[aside], functions={"light": light}, lighting={"base": {"beam": "low"}})
+    aside = toml("{ kind = 'pedestrian', name = 'aside', seed = 5, track = [{ position_m = [10.0, 3.0, 0.0], yaw_deg = 90.0 }] }")
+    light = toml("{ kind = 'object_based', method = 'constant', setpoint_lx = 6.0, share = 0.2 }")
+    *_, last = rows(5, "low", objects=[aside], functions={"light": light})
     assert last["tracks"] == 1 and last["primitives"] > 0, "where only one of the lamps reaches the body, it gives the whole"
     assert 1.1 < last["road_lx_ratio_max"] < 2, "rays of both lamps through different places of the body meet on the road behind"
 
 
 def test_oncoming_heads_count_from_three_tenths_of_a_second_on() -> None:
-    lit = rows(6, objects=[COMING, AHEAD], lighting={"base": {"beam": "full"}})
+    lit = rows(6, "full", objects=[COMING, AHEAD])
     told = [each["oncoming_lx_max"] for each in lit]
     assert told[:3] == [None] * 3 and all(lx > 1 for lx in told[3:]), "near enough at once, and in full light"
-    assert all(each["oncoming_lx_max"] is None for each in rows(5, objects=[AHEAD], lighting={"base": {"beam": "full"}}))
+    assert all(each["oncoming_lx_max"] is None for each in rows(5, "full", objects=[AHEAD]))

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from luxloop.world.errors import LuxloopError
+from luxloop import LuxloopError, load_lamp
 from luxloop.world.headlight.lamp import direction
 from luxloop.world.lamps import archive, presets
-from luxloop.world.lamps.description import build, load_lamp
+from luxloop.world.lamps.description import build
 from luxloop.world.lamps.utilisations import read_utilisation
 from luxloop.world.photometry import lm63
 from luxloop.world.photometry.distribution import Distribution

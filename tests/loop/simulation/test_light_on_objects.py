@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from luxloop.loop.scenario.model import load
-from luxloop.loop.simulation.simulation import Simulation
+from luxloop import Simulation, load
 from luxloop.loop.simulation.world import World
 from luxloop.world.traffic.tracked import ROAD_USERS
 from tests.loop.conftest import simulation_of

@@ -9,41 +9,52 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
+from luxloop import Detections, Simulation, run
 from luxloop.loop.commands import cli
 from luxloop.loop.recording.record import row
-from luxloop.loop.run import run
-from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.world import LitScene
-from luxloop.perception.detection.detector import Detections
-from tests.loop.conftest import simulation_of
-from tests.refusal import refusal
+from tests.loop.conftest import scenario_of, simulated, toml
+from tests.refusal import sentence
 
-CAMERA = {"width_px": 320, "height_px": 180, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000}
-WALKER = {"kind": "pedestrian", "name": "walker", "seed": 3, "path": {"points_m": [[15, -2, 0], [15, 2, 0]], "speed_m_s": 1.4}}
-CAR = {"kind": "car", "name": "oncoming", "track": [{"position_m": [30, 3, 0], "yaw_deg": 180}]}
-PARKED = {"kind": "car", "name": "parked", "category": None, "lit": False, "track": [{"position_m": [22, -5, 0]}]}
-OBL = {"kind": "object_based"}
+CLOSED = """
+name = "closed"
+steps = 8
+renderer = "raycast"
+headlight.model = "hd84"
+surface.grain = 0.0
+detector.kind = "truth"
+lighting.base.beam = "low"
+functions = { object_light.kind = "object_based", guard.kind = "glare_free" }
+camera = { width_px = 320, height_px = 180, pitch_deg = 1.5, oversampling = 1, saturation_e = 2000 }
+[[objects]]
+kind = "pedestrian"
+name = "walker"
+seed = 3
+path = { points_m = [[15, -2, 0], [15, 2, 0]], speed_m_s = 1.4 }
+[[objects]]
+kind = "car"
+name = "oncoming"
+track = [{ position_m = [30, 3, 0], yaw_deg = 180 }]
+[[objects]]
+kind = "car"
+name = "parked"
+lit = false
+track = [{ position_m = [22, -5, 0] }]
+"""
 
 
-def scenario(**changes: Any) -> Scenario:
-    base = {
-        "name": "closed",
-        "steps": 8,
-        "headlight": {"model": "hd84"},
-        "camera": CAMERA,
-        "surface": {"grain": 0.0},
-        "objects": [WALKER, CAR, PARKED],
-        "detector": {"kind": "truth"},
-        "lighting": {"base": {"beam": "low"}},
-        "functions": {"object_light": OBL, "guard": {"kind": "glare_free"}},
-        "renderer": "raycast",
-    }
-    return validate(base | changes, "closed")
+def closed(*overrides: str, **changes: Any) -> Simulation:
+    return simulated(CLOSED, *overrides, **changes)
+
+
+def results(*overrides: str, **changes: Any) -> list[StepResult]:
+    return list(closed(*overrides, **changes).evaluations())
 
 
 def test_everyone_is_found_tracked_placed_and_recorded(tmp_path: Path) -> None:
     out = tmp_path / "run"
-    summary = run(scenario(), out, video=False).summary
+    summary = run(scenario_of(CLOSED), out, video=False).summary
     table = pq.read_table(out / "trajectory.parquet")
     confirmed = 2  # a track is reported after its third frame
     for name in ("walker", "oncoming", "parked"):
@@ -64,22 +75,17 @@ def test_everyone_is_found_tracked_placed_and_recorded(tmp_path: Path) -> None:
 
 
 def test_masks_follow_tracks_and_darken_them() -> None:
-    masked = scenario(steps=6, lighting={"base": {"beam": "full"}}, functions={"guard": {"kind": "glare_free"}})
-    results = list(simulation_of(masked).evaluations())
-    assert not results[0].masked and results[0].objects["oncoming"].lx_max > 1
-    last = results[-1].objects
-    assert last["oncoming"].masked and last["parked"].masked and not last["walker"].masked
-    assert last["oncoming"].lx_mean < 0.1 * results[0].objects["oncoming"].lx_mean
+    first, *_, last = results("steps=6", "lighting.base.beam=full", functions={"guard": {"kind": "glare_free"}})
+    assert not first.masked and first.objects["oncoming"].lx_max > 1
+    assert {name for name, each in last.objects.items() if each.masked} == {"oncoming", "parked"}
+    assert last.objects["oncoming"].lx_mean < 0.1 * first.objects["oncoming"].lx_mean
 
 
 def test_late_frames_make_tracks_late() -> None:
-    late = scenario(camera=CAMERA | {"latency_steps": 2}, steps=7)
-    results = list(simulation_of(late).evaluations())
-    assert [each.frame is None for each in results] == [True, True] + [False] * 5
-    assert [each.look is not None and len(each.look.tracks) for each in results] == [0, 0, 0, 0, 3, 3, 3]
-    in_time = list(simulation_of(scenario(steps=5)).evaluations())
-    assert results[2].frame is not None and in_time[0].frame is not None
-    assert results[2].frame.equal(in_time[0].frame)  # no function has anything to do before a track is confirmed
+    late, in_time = results("camera.latency_steps=2", "steps=7"), results("steps=5")
+    assert [each.frame is None for each in late] == [True, True] + [False] * 5
+    assert [each.look is not None and len(each.look.tracks) for each in late] == [0, 0, 0, 0, 3, 3, 3]
+    assert late[2].frame.equal(in_time[0].frame)  # no function has anything to do before a track is confirmed
 
 
 def test_light_is_computed_once_however_late_its_frame_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,64 +97,52 @@ def test_light_is_computed_once_however_late_its_frame_is_read(monkeypatch: pyte
         return light(lit, *given)
 
     monkeypatch.setattr(LitScene, "light", counted)
-    *_, last = simulation_of(scenario(camera=CAMERA | {"latency_steps": 3}, steps=6)).evaluations()
+    *_, last = results("camera.latency_steps=3", "steps=6")
     assert last.frame is not None and len(computed) == 3  # the last three frames have not come
 
 
 def test_a_track_is_predicted_where_frames_are_lost() -> None:
-    lost = scenario(disturbances={"drops": [{"from_step": 4, "until_step": 6}]}, steps=6)
-    *_, last = simulation_of(lost).evaluations()
-    assert last.frame is None and last.look is not None and len(last.look.found) == 0 and len(last.look.tracks) == 3
+    *_, last = results("disturbances.drops=[{ from_step=4, until_step=6 }]", "steps=6")
+    assert last.frame is None and len(last.look.found) == 0 and len(last.look.tracks) == 3
     made = last.look.recognised["walker"]  # whose track goes on as he does: they still overlap
     assert made.track is not None and made.score == 0.0
 
 
-@pytest.mark.parametrize("late", [{"camera": CAMERA | {"latency_steps": 1}}, {"disturbances": {"drops": [{"until_step": 1}]}}], ids=str)
-def test_what_no_frame_shows_is_recorded_as_unknown(late: dict[str, Any]) -> None:
-    functions = {"matter": {"kind": "material", "lights": [{"materials": ["asphalt"], "lx": 5.0}], "road_m": [5, 30]}}
-    simulation = simulation_of(scenario(functions=functions, steps=3, **late))
-    first, *_, last = (row(result) for result in simulation.evaluations())
+@pytest.mark.parametrize("late", ["camera.latency_steps=1", "disturbances.drops=[{ until_step=1 }]"])
+def test_what_no_frame_shows_is_recorded_as_unknown(late: str) -> None:
+    lit = "functions.matter={ kind='material', lights=[{ materials=['asphalt'], lx=5.0 }], road_m=[5, 30] }"
+    first, *_, last = map(row, results(late, lit, "steps=3", functions={}))
     assert first["functions.matter.asphalt.lx"] is None and last["functions.matter.asphalt.lx"] > 0
     assert "detections" not in first and "objects.walker.score" not in first and last["detections"] == 3
 
 
 def test_tracks_are_where_objects_are() -> None:
-    simulation = simulation_of(scenario(steps=8))
-    *_, last = simulation.evaluations()
-    assert last.look is not None
-    true = {each.name: each for each in simulation_of(scenario(detector=None)).situation(last.time_s).objects}
-    for name, length_m in (("walker", 0.5), ("oncoming", 4.0)):
-        told = next(each for each in last.now.objects if each.name == f"track_{last.look.recognised[name].track}")
-        error = told.T_world_object[:2, 3] - true[name].T_world_object[:2, 3]
-        # A pixel of this camera's image is 0.6 m of the road at 15 m, and 1.9 m at 30 m; lengths are those of the class
-        assert float(error.norm()) < {"walker": 1.0, "oncoming": 3.0}[name]
-        assert told.category == true[name].category and told.size_m[0] == length_m
-        assert told.size_m[2] == pytest.approx(true[name].size_m[2], rel=0.15)
+    *_, last = results()
+    true = {each.name: each for each in closed(detector=None).situation(last.time_s).objects}
+    # A pixel of this camera's image is 0.6 m of the road at 15 m, and 1.9 m at 30 m; lengths are those of the class
+    for name, length_m, most_m in (("walker", 0.5, 1.0), ("oncoming", 4.0, 3.0)):
+        found = next(each for each in last.now.objects if each.name == f"track_{last.look.recognised[name].track}")
+        assert float((found.T_world_object[:2, 3] - true[name].T_world_object[:2, 3]).norm()) < most_m
+        assert found.category == true[name].category and found.size_m[0] == length_m
+        assert found.size_m[2] == pytest.approx(true[name].size_m[2], rel=0.15)
 
 
-def test_a_state_taken_up_again_goes_on_as_the_run_did() -> None:
-    simulation = simulation_of(scenario())
+def test_a_state_taken_up_again_goes_on_as_the_run_did_and_a_time_has_its_lights() -> None:
+    simulation = closed()
     state = simulation.start()
-    for _ in range(4):
-        state, _ = simulation.step(state)
-    _, first = simulation.step(state)
-    _, again = simulation_of(scenario()).step(state)
-    assert all(torch.equal(a, b) for a, b in zip(first.lights, again.lights, strict=True))
+    for _ in range(5):
+        before = state
+        state, first = simulation.step(state)
+    _, again = closed().step(before)
+    for lights in (again.lights, simulation.lights_at(4 / 30)[0]):
+        assert all(torch.equal(a, b) for a, b in zip(first.lights, lights, strict=True))
     assert first.step == 4 and torch.equal(first.frame, again.frame)
 
 
-def test_the_lights_of_a_time_are_those_of_the_run() -> None:
-    simulation = simulation_of(scenario(steps=6))
-    *_, last = simulation.evaluations()
-    assert all(torch.equal(a, b) for a, b in zip(simulation.lights_at(5 / 30)[0], last.lights, strict=True))
-
-
 def test_a_base_beam_is_dimmed_as_functions_ask() -> None:
-    half = {"kind": "object_based", "method": "constant", "share": 0.5, "setpoint_lx": 0.0}
-    most = half | {"share": 0.8}
-    bright, dim, both = (
-        simulation_of(scenario(objects=[], functions=functions)).at(0) for functions in ({}, {"half": half}, {"half": half, "most": most})
-    )
+    half = toml("{ kind = 'object_based', method = 'constant', share = 0.5, setpoint_lx = 0.0 }")
+    asked = ({}, {"half": half}, {"half": half, "most": half | {"share": 0.8}})
+    bright, dim, both = (closed(objects=[], functions=functions).at(0) for functions in asked)
     for full, one, two in zip(bright.lights, dim.lights, both.lights, strict=True):
         torch.testing.assert_close(one, 0.5 * full)
         torch.testing.assert_close(two, 0.8 * full)  # the least dimmed wins
@@ -165,9 +159,7 @@ class Numpy:
         return [Detections(np.zeros((1, 4)), np.zeros((1, 1)))] * len(frames)  # type: ignore[arg-type]
 
 
-def test_what_ones_own_detector_gives_wrong_ends_a_run_in_a_sentence_and_leaves_nothing(tmp_path: Path) -> None:
-    wrong = scenario(detector={"kind": f"{__name__}:Numpy"}, objects=[])
-    said = r"closed: detector.kind: .*Numpy: reading what detect gives, which must give one Detections a frame.*fails \(AttributeError"
-    with refusal(said):
-        run(wrong, tmp_path / "runs" / "closed")
-    assert list(tmp_path.iterdir()) == []
+def test_what_ones_own_detector_gives_wrong_ends_a_run_and_leaves_nothing(tmp_path: Path) -> None:
+    with sentence("detector.kind: ", "reading what detect gives", "AttributeError"):
+        run(scenario_of(CLOSED, detector={"kind": f"{__name__}:Numpy"}, objects=[]), tmp_path / "runs" / "closed")
+    assert not list(tmp_path.iterdir())

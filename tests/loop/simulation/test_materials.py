@@ -3,27 +3,39 @@
 import pytest
 import torch
 
-from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.build_scene import build_scene
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.ground_truth import material_picture
 from luxloop.world.materials.library import MATERIALS
 from luxloop.world.rendering.gbuffer import gbuffer
 from luxloop.world.rendering.surfaces import face_source
+from tests.loop.conftest import scenario_of
 
-HERE = [{"position_m": [14, 1, 0], "yaw_deg": 180}]
-OBJECTS = [
-    {"kind": "pedestrian", "name": "eva", "track": [{"position_m": [12, -1, 0]}]},
-    {"kind": "box", "name": "wall", "size_m": [0.5, 2, 2], "material": "metal", "track": HERE},
-    {"kind": "box", "name": "crate", "size_m": [0.5, 1, 1], "track": [{"position_m": [11, 1, 0]}]},
-]
+STREET = """
+name = "street"
+surface = { markings = true, grain = 0.0, albedo = 0.1 }
+spots = [{ x_m = 9, y_m = 0, material = "wet_asphalt" }]
+[[objects]]
+kind = "pedestrian"
+name = "eva"
+track = [{ position_m = [12, -1, 0] }]
+[[objects]]
+kind = "box"
+name = "wall"
+size_m = [0.5, 2, 2]
+material = "metal"
+track = [{ position_m = [14, 1, 0], yaw_deg = 180 }]
+[[objects]]
+kind = "box"
+name = "crate"
+size_m = [0.5, 1, 1]
+track = [{ position_m = [11, 1, 0] }]
+"""
 
 
 @pytest.mark.parametrize("beads", [False, True])
 def test_materials_are_named(beads: bool) -> None:
-    surface = {"markings": True, "beads": beads, "grain": 0.0, "albedo": 0.1}
-    data = {"name": "street", "objects": OBJECTS, "surface": surface, "lighting": {}}
-    scenario = validate(data | {"spots": [{"x_m": 9, "y_m": 0, "material": "wet_asphalt"}]}, "street")
+    scenario = scenario_of(STREET, f"surface.beads={str(beads).lower()}")
     view = camera_view(CameraParams(width_px=320, height_px=180))
     triangles = build_scene(scenario).at(0.0)
     surfaces = gbuffer(triangles, view, face_source("raycast").face_ids(triangles, view))

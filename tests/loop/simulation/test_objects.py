@@ -6,12 +6,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from luxloop.controllers.situation import TrackedObject
+from luxloop import Arrivals, TrackedObject, pose_from_degrees
 from luxloop.loop.simulation.clock import FromZero
-from luxloop.loop.simulation.protocol import Arrivals
 from luxloop.loop.simulation.remote_messages import LINGER_S, object_values, read_objects, track_objects
 from luxloop.perception.camera import CameraParams
-from luxloop.world.frames import pose_from_degrees
 
 WALKER, CAR = (
     TrackedObject(name, category, pose_from_degrees((k / 3, 0.1, 0.0), yaw_deg=7.0 * k), (0.5, 0.5, 1.8))

@@ -6,47 +6,39 @@ from typing import Any
 import pytest
 import torch
 
-from luxloop.loop.scenario.model import Scenario, validate
-from tests.loop.conftest import simulation_of
+from luxloop import Scenario
+from tests.loop.conftest import box, scenario_of, simulation_of, toml, van
 
-ROAD = {"x_m": 16.0, "width_m": 4.0, "length_m": 8.0}
-FUNCTIONS: dict[str, dict[str, Any]] = {  # all of one priority, and all on the same road and the same walker
-    "guard": {"kind": "glare_free", "categories": ["car"], "soft_zones": [{"margin_m": 0.5, "u_rel": 0.3}]},
-    "guard_softly": {"kind": "glare_free", "categories": ["car"], "soft_zones": [{"margin_m": 0.5, "u_rel": 0.8}]},
-    "bright": {"kind": "symbol", "image": "chevrons", **ROAD},
-    "dim": {"kind": "symbol", "image": "snowflake", "value": 0.3, **ROAD},
-    "detour": {"kind": "path", "control_m": [[10, 0], [20, 1], [30, -1]], "width_m": 3.0, "value": 0.6},
-    "carpet": {"kind": "lane", "value": 0.5},
-    "own_width": {"kind": "width", "value": 0.9},
-    "line": {"kind": "marker", "width_m": 1.0, "surround_m": 1.0},
-    "body": {"kind": "marker", "target": "body", "value": 0.7},
-    "signs": {"kind": "sign", "priority": 0, "categories": ["pedestrian"]},
-    "object_light": {"kind": "object_based", "method": "constant", "priority": 0, "categories": ["pedestrian"]},
-    "materials": {"kind": "material", "lights": [{"materials": ["asphalt"], "lx": 2.0}], "categories": ["pedestrian"]},
-    "place": {"kind": "zone", "centre_m": [16, 0, 0], "size_m": [8, 4, 0], "luminance_cd_m2": 0.2},
-    "other_place": {"kind": "zone", "centre_m": [16, 1, 0], "size_m": [8, 4, 0], "luminance_cd_m2": 0.5},
-}
+FUNCTIONS = toml("""
+guard = { kind = "glare_free", categories = ["car"], soft_zones = [{ margin_m = 0.5, u_rel = 0.3 }] }
+guard_softly = { kind = "glare_free", categories = ["car"], soft_zones = [{ margin_m = 0.5, u_rel = 0.8 }] }
+bright = { kind = "symbol", image = "chevrons", x_m = 16.0, width_m = 4.0, length_m = 8.0 }
+dim = { kind = "symbol", image = "snowflake", value = 0.3, x_m = 16.0, width_m = 4.0, length_m = 8.0 }
+detour = { kind = "path", control_m = [[10, 0], [20, 1], [30, -1]], width_m = 3.0, value = 0.6 }
+carpet = { kind = "lane", value = 0.5 }
+own_width = { kind = "width", value = 0.9 }
+line = { kind = "marker", width_m = 1.0, surround_m = 1.0 }
+body = { kind = "marker", target = "body", value = 0.7 }
+signs = { kind = "sign", priority = 0, categories = ["pedestrian"] }
+object_light = { kind = "object_based", method = "constant", priority = 0, categories = ["pedestrian"] }
+materials = { kind = "material", lights = [{ materials = ["asphalt"], lx = 2.0 }], categories = ["pedestrian"] }
+place = { kind = "zone", centre_m = [16, 0, 0], size_m = [8, 4, 0], luminance_cd_m2 = 0.2 }
+other_place = { kind = "zone", centre_m = [16, 1, 0], size_m = [8, 4, 0], luminance_cd_m2 = 0.5 }
+""")  # all of one priority, and all on the same road and the same walker
+
+
+OVERLAPPING = """
+name = "overlapping"
+renderer = "raycast"
+headlight.model = "ssl-hd-lores"
+camera = { width_px = 160, height_px = 90, oversampling = 1 }
+lighting.base.beam = "high"
+"""
 
 
 def scenario(functions: dict[str, dict[str, Any]]) -> Scenario:
-    at = {"walker": (20, 0.5, 90), "van": (28, 2.0, 180)}
-    size = {"walker": (0.4, 0.5, 1.8), "van": (4.5, 1.8, 1.9)}
-    boxes = [
-        {"kind": "box", "name": name, "size_m": size[name], "track": [{"position_m": (x, y, 0), "yaw_deg": yaw}]}
-        for name, (x, y, yaw) in at.items()
-    ]
-    return validate(
-        {
-            "name": "overlapping",
-            "headlight": {"model": "ssl-hd-lores"},
-            "camera": {"width_px": 160, "height_px": 90, "oversampling": 1},
-            "lighting": {"base": {"beam": "high"}},
-            "functions": functions,
-            "objects": [boxes[0] | {"category": "pedestrian"}, boxes[1] | {"category": "car"}],
-            "renderer": "raycast",
-        },
-        "overlapping",
-    )
+    walker = box("walker", (0.4, 0.5, 1.8), (20.0, 0.5, 90.0), category="pedestrian")
+    return scenario_of(OVERLAPPING, functions=functions, objects=[walker, van((28.0, 2.0, 180.0))])
 
 
 def lights(given: Scenario) -> list[torch.Tensor]:

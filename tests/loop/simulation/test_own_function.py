@@ -4,9 +4,8 @@ from typing import Any
 
 import pytest
 
-from luxloop.loop.run import run
-from luxloop.loop.scenario.model import Scenario, validate
-from tests.loop.conftest import simulation_of
+from luxloop import Scenario, run
+from tests.loop.conftest import scenario_of, simulation_of
 from tests.refusal import sentence
 
 OWN = """
@@ -52,17 +51,18 @@ class Forgetful:
 """
 
 
+BASE = """
+name = "own"
+steps = 3
+renderer = "raycast"
+headlight.model = "hd84"
+camera = { width_px = 160, height_px = 90, oversampling = 1 }
+lighting.base.beam = "low"
+"""
+
+
 def scenario(**functions: Any) -> Scenario:
-    data = {
-        "name": "own",
-        "steps": 3,
-        "headlight": {"model": "hd84"},
-        "camera": {"width_px": 160, "height_px": 90, "oversampling": 1},
-        "lighting": {"base": {"beam": "low"}},
-        "functions": functions,
-        "renderer": "raycast",
-    }
-    return validate(data, "own")
+    return scenario_of(BASE, functions=functions)
 
 
 def lights(**functions: Any) -> list[Any]:
@@ -95,15 +95,15 @@ def test_one_that_learns_keeps_its_state_from_step_to_step() -> None:
 @pytest.mark.parametrize(
     ("name", "options", "words"),
     [
-        ("Carpet", {"valve": 1}, ["functions.mine: options.valve", "did you mean 'value'?"]),
-        ("Carpet", {"value": 2.0}, ["the setpoint 2", '"u_abs"']),
-        ("Carpets", {}, ["own has no Carpets"]),
-        ("Asking", {}, ["base_share gives 1.5"]),
-        ("Listless", {}, ["primitives gives a Primitives; give a list"]),
-        ("Failing", {}, ["primitives fails at", "own.py, line", "no idea"]),
-        ("Forgetful", {}, ["has no method step", "start, step, adapted, base_share"]),
+        ("Carpet", {"valve": 1}, "functions.mine: options.valve"),
+        ("Carpet", {"value": 2.0}, "the setpoint 2"),
+        ("Carpets", {}, "own has no Carpets"),
+        ("Asking", {}, "base_share gives 1.5"),
+        ("Listless", {}, "primitives gives a Primitives; give a list"),
+        ("Failing", {}, "primitives fails at"),
+        ("Forgetful", {}, "has no method step"),
     ],
 )
-def test_what_is_wrong_with_it_is_said_in_a_sentence(name: str, options: dict[str, Any], words: list[str]) -> None:
-    with sentence(f"own:{name}", *words):
+def test_what_is_wrong_with_it_is_said_in_a_sentence(name: str, options: dict[str, Any], words: str) -> None:
+    with sentence(f"own:{name}", words):
         lights(mine={"kind": f"own:{name}", "options": options})

@@ -8,29 +8,32 @@ import numpy as np
 import pytest
 import torch
 
+from luxloop import Utilisation
 from luxloop.controllers.functions.base_beams import PaintedParams, PaintLayer
-from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.loop.scenario.model import Scenario, validate
-from tests.loop.conftest import simulation_of
+from luxloop.loop.simulation.result import StepResult
+from tests.loop.conftest import simulated, toml, van
 from tests.refusal import sentence
 
 ROWS, COLUMNS = 3, 28  # pixels of hd84
 RNG = np.random.default_rng(3)
 VALUE = RNG.integers(0, 256, (ROWS, COLUMNS)).astype(np.uint8)
 HALF = np.where(np.arange(COLUMNS) < COLUMNS // 2, 255, 0).astype(np.uint8) * np.ones((ROWS, 1), np.uint8)
-VAN = {"kind": "box", "name": "van", "category": "car", "size_m": [4.5, 1.8, 1.9], "track": [{"position_m": [30, 3, 0], "yaw_deg": 180}]}
-GUARDED = {"objects": [VAN], "functions": {"guard": {"kind": "glare_free"}}}
+GUARDED = {"objects": [van((30.0, 3.0, 180.0))], "functions": {"guard": {"kind": "glare_free"}}}
 
 
-def scenario(*painted: Any, **changes: Any) -> Scenario:
-    lighting = {"painted": [each if isinstance(each, dict) else each.model_dump() for each in painted], "base": {"beam": "full"}}
-    camera = {"width_px": 160, "height_px": 90}
-    given = {"name": "painted", "headlight": {"model": "hd84"}, "camera": camera, "renderer": "raycast"}
-    return validate(given | {"lighting": lighting | changes.pop("lighting", {})} | changes, "painted")
+PAINTED = """
+name = "painted"
+renderer = "raycast"
+headlight.model = "hd84"
+camera = { width_px = 160, height_px = 90 }
+lighting.base.beam = "full"
+"""
 
 
-def lights(*painted: Any, **changes: Any) -> list[torch.Tensor]:
-    return list(simulation_of(scenario(*painted, **changes)).at(0).lights)
+def shown(*painted: PaintedParams | dict[str, Any], **changes: Any) -> StepResult:
+    tables = [each if isinstance(each, dict) else each.model_dump() for each in painted]
+    lighting = {"painted": tables, "base": {"beam": "full"}} | changes.pop("lighting", {})
+    return simulated(PAINTED, lighting=lighting, **changes).at(0)
 
 
 def given(share: np.ndarray) -> torch.Tensor:
@@ -45,8 +48,8 @@ def test_pictures_come_back_bit_for_bit() -> None:
 
 @pytest.mark.parametrize("over", [True, False])
 def test_what_is_painted_holds_and_the_rest_is_what_functions_give(over: bool) -> None:
-    plain, guarded = lights(), lights(**GUARDED)
-    left, right = lights(PaintedParams.of("left matrix", VALUE, HALF, over), **GUARDED)
+    plain, guarded = shown().lights, shown(**GUARDED).lights
+    left, right = shown(PaintedParams.of("left matrix", VALUE, HALF, over), **GUARDED).lights
     assert not guarded[0].equal(plain[0]) and right.equal(guarded[1])
     painted = given(HALF) > 0
     torch.testing.assert_close(left[painted], given(VALUE)[painted], rtol=0, atol=1e-7)  # single precision
@@ -72,7 +75,7 @@ def test_outside_the_band_all_is_dark(over: bool, band: slice | None) -> None:
 def test_the_power_limit_holds() -> None:
     all_ = np.full((ROWS, COLUMNS), 255, np.uint8)
     painted = [PaintedParams.of(f"{side} matrix", all_, all_, False) for side in ("left", "right")]
-    result = simulation_of(scenario(*painted, lighting={"power_limit": 0.25, "base": {"beam": "off"}})).at(0)
+    result = shown(*painted, lighting=toml("{ power_limit = 0.25, base.beam = 'off' }"))
     assert all(power.share == pytest.approx(0.25) for power in result.powers.values())
 
 
@@ -81,16 +84,16 @@ def png(image: np.ndarray, suffix: str = ".png") -> str:
 
 
 GOOD = PaintedParams.of("left matrix", VALUE, HALF, True).model_dump()
-WRONG: dict[str, tuple[list[dict[str, Any]], list[str]]] = {
-    "no text": ([GOOD | {"png": "%%%"}], ["lighting.painted[0].png", "base64"]),
-    "no transparency": ([GOOD | {"png": png(VALUE)}], ["lighting.painted[0].png", "transparency"]),
-    "other size": ([GOOD | {"png": png(np.zeros((4, 28, 4), np.uint8))}], ["lighting.painted[0].png", "4 x 28", "3 x 28", "this size"]),
-    "unknown module": ([GOOD | {"module": "left hires"}], ["lighting.painted[0].module", "'left hires'", "left matrix"]),
-    "twice": ([GOOD, GOOD], ["lighting.painted[1].module", "'left matrix'", "twice"]),
+WRONG = {
+    "png: is no base64": [GOOD | {"png": "%%%"}],
+    "transparency": [GOOD | {"png": png(VALUE)}],
+    "png: has 4 x 28": [GOOD | {"png": png(np.zeros((4, 28, 4), np.uint8))}],
+    "painted[0].module": [GOOD | {"module": "left hires"}],
+    "painted[1].module": [GOOD, GOOD],
 }
 
 
-@pytest.mark.parametrize(("painted", "words"), WRONG.values(), ids=WRONG.keys())
-def test_what_does_not_fit_is_named_in_a_sentence(painted: list[dict[str, Any]], words: list[str]) -> None:
-    with sentence(*words):
-        simulation_of(scenario(*painted))
+@pytest.mark.parametrize(("words", "painted"), WRONG.items(), ids=WRONG)
+def test_what_does_not_fit_is_named_in_a_sentence(words: str, painted: list[dict[str, Any]]) -> None:
+    with sentence("lighting.painted[", words):
+        shown(*painted)

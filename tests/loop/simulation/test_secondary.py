@@ -5,31 +5,29 @@ from typing import Any
 import pytest
 import torch
 
-from luxloop.loop.scenario.model import validate
+from luxloop import Simulation
 from luxloop.loop.simulation.light_figures import WIDTH_PX, picture_view
 from luxloop.loop.simulation.result import StepResult
-from luxloop.loop.simulation.simulation import Simulation
 from tests.lamps import SMALL_LAMP
-from tests.loop.conftest import simulation_of
+from tests.loop.conftest import box, simulated, toml
 
-CARPET = {"kind": "lane", "quantity": "E_v", "value": 1.0, "lane_width_m": 3.0, "near_m": 14.0, "far_m": 30.0}
+CARPET = toml("{ kind = 'lane', quantity = 'E_v', value = 1.0, lane_width_m = 3.0, near_m = 14.0, far_m = 30.0 }")
 WANTED_LX = 1.0  # a single lamp of 50 kcd can give it up to 33 m ahead
 PATCH = (18.0, 26.0, 1.0)  # from, to and half the width in m, well inside of the carpet
-BARRIER = {"kind": "box", "name": "barrier", "size_m": [0.1, 0.5, 0.9], "albedo": 0.2, "track": [{"position_m": [12.0, 0.6, 0]}]}
+BARRIER = box("barrier", (0.1, 0.5, 0.9), (12.0, 0.6, 0.0), albedo=0.2)
 
 
-def run(lighting: dict[str, Any], function: dict[str, Any] = CARPET, **changes: Any) -> tuple[Simulation, StepResult]:
-    base = {
-        "name": "carpet",
-        "headlight": {"model": "hd84"},
-        "camera": {"width_px": 320, "height_px": 180, "hfov_deg": 20, "pitch_deg": 4.0, "z_m": 2.5},
-        "surface": {"grain": 0.0},
-        "lighting": lighting,
-        "functions": {"drawn": function},
-        "renderer": "raycast",
-    }
-    scenario = validate(base | changes, "carpet")
-    simulation = simulation_of(scenario)
+BASE = f"""
+name = "carpet"
+renderer = "raycast"
+headlight.model = "{SMALL_LAMP}"
+camera = {{ width_px = 320, height_px = 180, hfov_deg = 20, pitch_deg = 4.0, z_m = 2.5 }}
+surface.grain = 0.0
+"""
+
+
+def run(*overrides: str, function: dict[str, Any] = CARPET, **changes: Any) -> tuple[Simulation, StepResult]:
+    simulation = simulated(BASE, *overrides, functions={"drawn": function}, **changes)
     return simulation, simulation.at(0)
 
 
@@ -45,32 +43,28 @@ def on_road(simulation: Simulation, result: StepResult, aside_m: float = 0.0) ->
 
 def test_lamps_share_a_setpoint_so_that_light_is_not_doubled() -> None:
     """idealised pixels are 0.06 deg wide, 2 m of road at 26 m, so the mean over the patch keeps to the setpoint within some percent."""
-    fine = {"headlight": {"model": SMALL_LAMP}}
-    shared, doubled = (on_road(*run({"share": share}, **fine)) for share in (True, False))
+    shared, doubled = (on_road(*run(f"lighting.share={share}")) for share in ("true", "false"))
     assert shared == pytest.approx(WANTED_LX, rel=0.06)
     assert doubled == pytest.approx(2 * shared, rel=0.02)
 
 
 def test_a_lamp_makes_up_for_one_that_is_blocked() -> None:
-    fine = {"headlight": {"model": SMALL_LAMP}, "objects": [BARRIER]}
-    dim, made_up = (on_road(*run({"shadow_rays": rays}, **fine), aside_m=0.4) for rays in (False, True))
+    given = ("false", "true")
+    dim, made_up = (on_road(*run(f"lighting.shadow_rays={rays}", objects=[BARRIER]), aside_m=0.4) for rays in given)
     assert dim < 0.8 * WANTED_LX < made_up
 
 
 def test_street_light_is_taken_off() -> None:
-    lit = {
-        "light": {"street_lamps": [{"position_m": [22.0, 0.0, 8.0], "intensity_cd": 19.2}]},
-        "headlight": {"model": SMALL_LAMP},
-    }
-    with_offset, without = (on_road(*run({"street_lamps": off}, **lit)) for off in (True, False))
+    lamp = "light.street_lamps=[{ position_m=[22.0, 0.0, 8.0], intensity_cd=19.2 }]"
+    with_offset, without = (on_road(*run(f"lighting.street_lamps={off}", lamp)) for off in ("true", "false"))
     assert without - with_offset == pytest.approx(19.2 / 64, rel=0.15)  # E = I / h^2 right below; less towards the patch's ends
 
 
 def test_an_observer_sees_the_picture_upright() -> None:
     """The light is where the observer's picture is bright: nothing of it lies on the road before the picture's lower edge."""
-    picture = {"centre_m": [15.0, 0.0, 0.5], "width_m": 1.0, "height_m": 0.4, "eye_m": [-1.6, 0.0, 1.4]}
+    picture = toml("{ centre_m = [15.0, 0.0, 0.5], width_m = 1.0, height_m = 0.4, eye_m = [-1.6, 0.0, 1.4] }")
     symbol = {"kind": "symbol", "image": "warning_triangle", "observer": picture}
-    simulation, result = run({}, symbol, headlight={"model": SMALL_LAMP})
+    simulation, result = run(function=symbol)
     x, y, _ = simulation.world.lit(0.0).surfaces.position[:, result.illuminance > 0.5]
     assert len(x) > 50
     # The picture's lower edge at z = 0.3 m is seen on the road at x = -1.6 + 16.6 * 1.4 / 1.1, its upper one at 0.7 m at 31.6 m.

@@ -7,73 +7,58 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
+from luxloop import Scenario, run
 from luxloop.controllers.functions.zone import ZoneParams, region_of
 from luxloop.loop.report.picture import marks
 from luxloop.loop.report.run_table import summary_table
-from luxloop.loop.run import run
-from luxloop.loop.scenario.model import Scenario, validate
-from tests.loop.conftest import simulation_of
+from tests.loop.conftest import box, scenario_of, simulation_of, toml
 
-CAMERA = {"width_px": 320, "height_px": 180, "oversampling": 1, "saturation_e": 2000, "pitch_deg": 1.5}
+ZONES = """
+name = "zones"
+steps = 11
+renderer = "raycast"
+headlight.model = "ssl-hd-lores"
+camera = { width_px = 320, height_px = 180, oversampling = 1, saturation_e = 2000, pitch_deg = 1.5 }
+light.ambient_lx = 0.1
+surface = { grain = 0.0, markings = true }
+"""
+ZONE = toml("{ kind = 'zone', centre_m = [15, 0, 1.0], size_m = [0, 1.6, 1.6], luminance_cd_m2 = 0.6 }")
 WALLS = {0.05: 3.0, 0.2: 0.0, 0.8: -3.0}  # y in m by reflectance
 
 
+def wall(name: str, x: float, y: float, albedo: float) -> dict[str, Any]:
+    return box(name, (0.2, 2, 2), (x, y, 0.0), albedo=albedo)
+
+
 def scenario(functions: dict[str, dict[str, Any]], **changes: Any) -> Scenario:
-    walls = [
-        {
-            "kind": "box",
-            "name": f"wall_{100 * albedo:.0f}",
-            "albedo": albedo,
-            "size_m": [0.2, 2, 2],
-            "track": [{"position_m": [15.1, y, 0]}],
-        }
-        for albedo, y in WALLS.items()
-    ]
-    base = {
-        "name": "zones",
-        "steps": 11,
-        "headlight": {"model": "ssl-hd-lores"},
-        "camera": CAMERA,
-        "light": {"ambient_lx": 0.1},
-        "surface": {"grain": 0.0, "markings": True},
-        "objects": walls,
-        "functions": functions,
-        "renderer": "raycast",
-    }
-    return validate(base | changes, "zones")
+    walls = [wall(f"wall_{100 * albedo:.0f}", 15.1, y, albedo) for albedo, y in WALLS.items()]
+    return scenario_of(ZONES, functions=functions, **{"objects": walls, **changes})
 
 
 def test_zones_settle_within_10_steps_over_all_reflectances(tmp_path: Path) -> None:
-    zones = {
-        f"of_{100 * albedo:.0f}": {"kind": "zone", "centre_m": [15, y, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.6}
-        for albedo, y in WALLS.items()
-    }
-    summary = run(scenario(zones), tmp_path / "zones", video=False, report=False).summary
-    table = pq.read_table(tmp_path / "zones" / "trajectory.parquet")
-    lx = []
-    for name in zones:
-        zone = summary["zones"][name]
+    zones = {f"of_{100 * albedo:.0f}": ZONE | {"centre_m": [15, y, 1.0]} for albedo, y in WALLS.items()}
+    result = run(scenario(zones), tmp_path / "zones", video=False, report=False)
+    for zone in result.summary["zones"].values():
         assert zone["luminance"] == pytest.approx(0.6, rel=0.02) and zone["settled_step"] <= 10
-        lx.append(table[f"functions.{name}.lx"][-1].as_py())
+    lx = [result.trajectory[f"functions.{name}.lx"][-1].as_py() for name in zones]
     # 0.1 lx of ambient light on upright walls and the dark rims of the zones aside, light goes with one over the reflectance
     assert lx[0] / lx[1] == pytest.approx(4.0, rel=0.2) and lx[1] / lx[2] == pytest.approx(4.0, rel=0.2)
 
 
-@pytest.mark.parametrize(("weight", "most"), [(None, 5), (1.0, None)])
-def test_a_white_wall_in_the_low_beam_settles_as_its_zone_counts_more_than_the_beam(weight: float | None, most: int | None) -> None:
-    zone = {"kind": "zone", "centre_m": [25, 0, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.9}
-    wall = {"kind": "box", "name": "white", "albedo": 0.8, "size_m": [0.2, 2, 2], "track": [{"position_m": [25.1, 0, 0]}]}
-    zones = {"wall": zone | ({} if weight is None else {"weight": weight})}
-    simulation = simulation_of(scenario(zones, objects=[wall], lighting={"base": {"beam": "low"}}))
-    seen = [result.zones["wall"].luminance or 0.0 for result in simulation.evaluations()]
-    beyond = [step for step, each in enumerate(seen) if abs(each / 0.9 - 1) > 0.05]
+def test_a_white_wall_in_the_low_beam_settles_as_its_zone_counts_more_than_the_beam() -> None:
+    def beyond(**more: float) -> list[int]:
+        """Steps in which the luminance is more than 5 % off."""
+        zone = ZONE | {"centre_m": [25, 0, 1.0], "luminance_cd_m2": 0.9} | more
+        given = scenario({"wall": zone}, objects=[wall("white", 25.1, 0.0, 0.8)], lighting={"base": {"beam": "low"}})
+        seen = [result.zones["wall"].luminance or 0.0 for result in simulation_of(given).evaluations()]
+        return [step for step, each in enumerate(seen) if abs(each / 0.9 - 1) > 0.05]
+
     # with 1 the beam's light at the foot of the wall is more than the zone can take away, and clipped besides
-    assert beyond[-1] < most if most is not None else beyond[-1] == len(seen) - 1
+    assert beyond()[-1] < 5 and beyond(weight=1.0)[-1] == 10
 
 
 def test_zones_are_drawn_where_the_camera_sees_them() -> None:
-    zone = {"kind": "zone", "centre_m": [15, 0, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.6}
-    simulation = simulation_of(scenario({"to_the_back": zone | {"centre_m": [-15, 0, 1.0]}, "in_front": zone}, objects=[]))
+    simulation = simulation_of(scenario({"to_the_back": ZONE | {"centre_m": [-15, 0, 1.0]}, "in_front": ZONE}, objects=[]))
     _, result = simulation.step(simulation.start())
     result = simulation.evaluate(result)
     ahead, behind = marks(result, simulation)
@@ -91,21 +76,16 @@ def test_zones_are_drawn_where_the_camera_sees_them() -> None:
 def test_materials_are_told_beside_what_was_wanted(tmp_path: Path) -> None:
     lights = [
         {"materials": ["lane_paint"], "lx": 8.0},
-        {"materials": ["matt", "skin"], "luminance_cd_m2": 0.2},
-        {"albedo": [0.0, 0.3], "lx": 1.0},
+        toml("{ materials = ['matt', 'skin'], luminance_cd_m2 = 0.2 }"),
+        toml("{ albedo = [0.0, 0.3], lx = 1.0 }"),
     ]
     told = [{**each.model_dump(exclude_none=True), "category": "other"} for each in scenario({}).objects]
     given = scenario({"by_material": {"kind": "material", "lights": lights, "road_m": [12, 30]}}, objects=told, steps=2)
     summary = run(given, tmp_path / "materials", video=False).summary
     table = pq.read_table(tmp_path / "materials" / "trajectory.parquet")
     materials = {name.removeprefix("by_material."): each for name, each in summary["materials"].items()}
-    assert list(materials) == ["matt", "skin", "lane_paint", "albedo 0 to 0.3"]
-    assert {name: each["wanted"] for name, each in materials.items()} == {
-        "matt": 0.2,
-        "skin": 0.2,
-        "lane_paint": 8.0,
-        "albedo 0 to 0.3": 1.0,
-    }
+    wanted = [("matt", 0.2), ("skin", 0.2), ("lane_paint", 8.0), ("albedo 0 to 0.3", 1.0)]
+    assert [(name, each["wanted"]) for name, each in materials.items()] == wanted
     # the median wall is clear of borders, and light of the road's picture reaches it not at all; rays are read at texels
     assert materials["matt"]["median"] == pytest.approx(0.2, rel=0.15) and materials["matt"]["quantity"] == "luminance"
     assert materials["skin"]["median"] is None
