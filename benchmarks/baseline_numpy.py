@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, maximum_filter, uniform_filter
 
-from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.loop.simulation.simulation import Simulation
+from luxloop import ProjectionCommand, Simulation
 from luxloop.perception.appearance import error_indices
 from luxloop.perception.camera import camera_view
 from luxloop.perception.extraction import NEIGHBOURHOOD, WHOLLY_LIT

@@ -10,28 +10,23 @@ from typing import Any
 import torch
 from bench import Goal, Laps, medians, run, show
 
-from luxloop.loop.scenario.model import load
-from luxloop.loop.simulation.simulation import Simulation
+from luxloop import Simulation, load
 from luxloop.loop.studies.batch.copies import Copies, Taken
 
-SIZES, BATCHES, STEPS = ((640, 480), (1280, 720)), (1, 16, 64), 12
-SPREAD = (0.3, 0.1, 0.005, 0.003)  # m, m, rad, rad: standard deviation of the copies' poses
 
-
-def compare(width: int, height: int, batches: tuple[int, ...], steps: int) -> dict[str, dict[str, float]]:
+def compare(given: Namespace, width: int, height: int) -> dict[str, dict[str, float]]:
     """Median ms of a step of a single run and of each of B copies, and their ratios."""
-    simulation = Simulation.prepare(load("snowflake", [f"camera.width_px={width}", f"camera.height_px={height}", "judge_every=1"]))
+    simulation = Simulation.prepare(load("snowflake", [f"camera={{width_px={width}, height_px={height}}}", "judge_every=1"]))
     copies, generator = Copies(simulation), torch.Generator().manual_seed(0)
     state = simulation.start()
-    taken = {name: [] for name in ("single run", *map(str, batches))}
-    for step in range(steps):
+    taken = {name: [] for name in ("single run", *map(str, given.batches))}
+    for step in range(given.steps):
         laps = Laps()
         state, result = simulation.step(state)
         (pose,) = (each.pose for each in result.planning.projections.values())
-        laps.lap("step")
-        taken["single run"].append(laps.parts)
-        for batch in batches:
-            poses = pose + torch.randn(batch, 4, generator=generator) * torch.tensor(SPREAD)
+        taken["single run"].append({"step": laps.lap("step")})
+        for batch in given.batches:
+            poses = pose + torch.randn(batch, 4, generator=generator) * torch.tensor(given.spread)
             laps = Laps()
             light = copies.show(poses)
             laps.lap("show")
@@ -45,11 +40,10 @@ def compare(width: int, height: int, batches: tuple[int, ...], steps: int) -> di
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    sizes, batches, steps = (((320, 180),), (1, 4), 2) if given.quick else (SIZES, BATCHES, STEPS)
-    found = {f"{width} x {height} px": compare(width, height, batches, steps) for width, height in sizes}
+    found = {f"{width} x {height} px": compare(given, width, height) for width, height in given.sizes_px}
     for size, each in found.items():
         show(f"ms a step and copy, {size}", each)
-    most = str(batches[-1])
+    most = str(given.batches[-1])
     goals = [Goal(f"speed-up by {most} copies, {size}", each[most]["speed-up"], 4.0, True) for size, each in found.items()]
     return {"ms": found, "goals": goals}
 

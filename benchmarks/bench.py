@@ -1,19 +1,21 @@
-"""The harness of the benchmarks: options, one thread, the machine, steps timed in turn, resumable studies, goals, tables, JSON."""
+"""The harness of the benchmarks: cases, options, one thread, the machine, steps timed in turn, resumable studies, goals, tables, JSON."""
 
-import argparse
 import datetime
+import inspect
 import json
 import os
 import platform
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import tomllib
+from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from statistics import median
 from types import ModuleType
 from typing import Any, NamedTuple
 
+import pandas as pd
 import torch
 
 from luxloop.loop.recording.sources import digest_of_code
@@ -25,6 +27,7 @@ OMP, MESA, BLAS = THREADS = ("OMP_NUM_THREADS", "LP_NUM_THREADS", "OPENBLAS_NUM_
 PACKAGES = ("torch", "numpy", "scipy")
 GPU_ROUNDS, GPU_WARM_UPS = 500, 10  # as in the thesis
 Step = Callable[[], Any]
+Measure = Callable[[Namespace], dict[str, Any]]
 
 
 class Goal(NamedTuple):
@@ -40,42 +43,43 @@ class Goal(NamedTuple):
     def passed(self) -> bool | None:
         return None if self.value is None else bool(self.value >= self.limit if self.least else self.value <= self.limit)
 
+    @property
+    def row(self) -> dict[str, str]:
+        """Of the table of goals."""
+        measured = "not measured" if self.value is None else f"{self.value:.3g}" + (f" ({self.where})" if self.where else "")
+        limit = f"{'≥' if self.least else '≤'} {self.limit:g}"
+        return {"measured": measured, "limit": limit, "": {True: "reached", False: "**missed**", None: ""}[self.passed]}
 
-def run(
-    measure: Callable[[argparse.Namespace], dict[str, Any]],
-    about: str | None,
-    *,
-    threads: Sequence[str] = THREADS,
-    **options: Mapping[str, Any],
-) -> None:
+
+def cases(measure: Measure, quick: bool = False, **options: Any) -> Namespace:
+    """The cases of a benchmark: the TOML file of its name, its table `quick` over that, and options over both."""
+    table = tomllib.loads(Path(inspect.getfile(measure)).with_suffix(".toml").read_text("utf-8"))
+    few = table.pop("quick", {})
+    return Namespace(**table | (few if quick else {}) | options)
+
+
+def run(measure: Measure, about: str | None, *options: str, threads: Sequence[str] = THREADS) -> None:
     """A benchmark's program: parses `--json`, `--quick` and the options, measures on one thread, prints goals, writes JSON.
 
-    measure: of the arguments; prints its tables and returns what JSON gets, with `goals`, a sequence of Goal, and `failures`, reasons by
-    key, where it has them. threads: environment variables that libraries read at their start. options: arguments of `add_argument` by name.
+    measure: of the cases; prints its tables and returns what JSON gets, with `goals`, a sequence of Goal, and `failures`, reasons by
+    key, where it has them. options: keys of the cases that the command line may change. threads: environment variables that libraries
+    read at their start.
     """
     if any(os.environ.get(name) != "1" for name in threads):
         os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **dict.fromkeys(threads, "1")})
-    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="also write the results here")
+    parser = ArgumentParser(description=about, formatter_class=RawDescriptionHelpFormatter, argument_default=SUPPRESS)
+    parser.add_argument("--json", type=Path, default=None, help="also write the results here")
     parser.add_argument("--quick", action="store_true", help="a small case")
-    for name, option in options.items():
-        parser.add_argument(f"--{name}", **option)
-    given = parser.parse_args()
+    for name in options:
+        default = vars(cases(measure))[name]
+        kind = {"nargs": "*"} if isinstance(default, list) else {"type": type(default)}
+        parser.add_argument(f"--{name}", help=f"by default {default}", **kind)
+    given, where = cases(measure, **vars(parser.parse_args())), machine()
     torch.set_num_threads(1)
-    where = machine()
     print(", ".join(f"{key} {value}" for key, value in where.items()))
     found = measure(given)
     if goals := found.get("goals"):
-        words = {True: "reached", False: "**missed**", None: ""}
-        rows = {
-            each.what: {
-                "measured": "not measured" if each.value is None else f"{each.value:.3g}" + (f" ({each.where})" if each.where else ""),
-                "limit": f"{'≥' if each.least else '≤'} {each.limit:g}",
-                "": words[each.passed],
-            }
-            for each in goals
-        }
-        show("Goals", rows)
+        show("Goals", {each.what: each.row for each in goals})
         found["goals"] = [each._asdict() | {"passed": each.passed} for each in goals]
     if given.json:
         given.json.write_text(json.dumps({"machine": where, **found}, indent=1) + "\n", "utf-8")
@@ -85,24 +89,17 @@ def run(
 
 def show(title: str, rows: Mapping[str, Mapping[str, Any]]) -> None:
     """Print a table as Markdown: values by column by row. A mapping in place of a value makes a column of each of its values."""
-    flat = {name: dict(_flat(row)) for name, row in rows.items()}
-    columns = list(dict.fromkeys(column for row in flat.values() for column in row))
-    cells = ((name, *(_cell(row.get(column)) for column in columns)) for name, row in flat.items())
-    print(f"\n{title}\n\n{markdown_table(('', *columns), cells)}", flush=True)
-
-
-def _flat(row: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in row.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name} ")
-        else:
-            yield prefix + name, value
+    table = pd.json_normalize(list(rows.values()), sep=" ")
+    cells = ((name, *map(_cell, row)) for name, row in zip(rows, table.to_numpy(object), strict=True))
+    print(f"\n{title}\n\n{markdown_table(('', *table), cells)}", flush=True)
 
 
 def _cell(value: Any) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(map(_cell, value))
-    return number(value, ".3g" if abs(value) < 1000 else ",.0f") if isinstance(value, float) else "–" if value is None else str(value)
+    if isinstance(value, float):
+        return number(value, ".3g" if abs(value) < 1000 else ",.0f")
+    return "–" if value is None else str(value)
 
 
 def machine() -> dict[str, str]:
@@ -135,7 +132,7 @@ class Laps:
 
 def medians(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """The median over the rows of each of their values."""
-    return {key: median(row[key] for row in rows) for key in rows[0]}
+    return pd.DataFrame(rows).median().to_dict()
 
 
 def interleaved(steps: Mapping[str, Step], rounds: int) -> dict[str, float]:
@@ -155,16 +152,17 @@ def interleaved(steps: Mapping[str, Step], rounds: int) -> dict[str, float]:
 def on_gpu(steps: Mapping[str, Step], flush: Step = lambda: None) -> dict[str, float]:
     """Median clock time in ms of each step as a CUDA graph, in turn, synchronised before and after. flush: runs before each."""
     graphs = {name: captured(step) for name, step in steps.items()}
-    taken = {name: [] for name in steps}
+    rows = []
     for _ in range(GPU_ROUNDS + GPU_WARM_UPS):
+        rows.append({})
         for name, graph in graphs.items():
             flush()
             torch.cuda.synchronize()
             before = time.perf_counter()
             graph.replay()
             torch.cuda.synchronize()
-            taken[name].append(1e3 * (time.perf_counter() - before))
-    return {name: median(times[GPU_WARM_UPS:]) for name, times in taken.items()}
+            rows[-1][name] = 1e3 * (time.perf_counter() - before)
+    return medians(rows[GPU_WARM_UPS:])
 
 
 def captured(step: Step) -> torch.cuda.CUDAGraph:
@@ -180,20 +178,17 @@ def captured(step: Step) -> torch.cuda.CUDAGraph:
     return graph
 
 
-def study_options(name: str) -> dict[str, dict[str, Any]]:
-    """Options of a benchmark that resumes."""
-    out = {"type": Path, "default": Path("runs") / name, "help": "folder of the results so far"}
-    return {"out": out, "jobs": {"type": int, "help": "processes, by default one a core"}}
-
-
 def study(
-    function: Callable[..., Values], jobs: Mapping[str, Values], given: argparse.Namespace, modules: Sequence[ModuleType], inputs: str = ""
+    function: Callable[..., Values], jobs: Mapping[str, Values], given: Namespace, modules: Sequence[ModuleType], inputs: str = ""
 ) -> tuple[dict[str, dict[str, Any]], dict[str, str]]:
-    """Results of a function of an importable module, and reasons of failures, by key of the job; resumes in the folder `given.out`.
+    """Results of a function of an importable module, and reasons of failures, by key of the job.
 
+    Resumes in the folder `given.out`; takes `given.jobs` processes, 0 for one a core.
     modules, inputs: code and files that decide the results besides the product's code and the jobs' parameters.
     """
     code = digest_of_code() + digest_of(*modules) + inputs
     todo = [Job(key, parameters) for key, parameters in jobs.items()]
-    results = run_jobs(function, todo, given.out / "jobs.jsonl", version=code, executor=local(given.jobs), title=function.__name__)
+    results = run_jobs(
+        function, todo, Path(given.out) / "jobs.jsonl", version=code, executor=local(given.jobs or None), title=function.__name__
+    )
     return {row["key"]: row for row in results.rows}, results.failures

@@ -19,14 +19,13 @@ from luxloop.loop.studio.inbox import unpack
 from luxloop.loop.studio.shared import BlockReader, Blocks
 from luxloop.world.messages import pack, raw
 
-SIZES, ROUNDS, WARM_UPS = ((640, 360), (1920, 1080)), 40, 2
-DTYPES = {"frames.on": "u2", "frames.off": "u2", "depth": "f4", "instances": "u2", "materials": "u1"}  # of a camera of more than 8 bits
+WARM_UPS = 2
 
 
-def send(port: Connection, width: int, height: int) -> None:
+def send(port: Connection, dtypes: dict[str, str], width: int, height: int) -> None:
     """Send steps by the way that each message names, until there are no more."""
     values = np.random.default_rng(0).integers(0, 256, (height, width))
-    arrays = {name: values.astype(dtype) for name, dtype in DTYPES.items()}
+    arrays = {name: values.astype(dtype) for name, dtype in dtypes.items()}
 
     def answer(connection: ServerConnection) -> None:
         blocks = Blocks()
@@ -42,15 +41,15 @@ def send(port: Connection, width: int, height: int) -> None:
         server.serve_forever()
 
 
-def compare(width: int, height: int, rounds: int) -> dict[str, Any]:
+def compare(given: Namespace, width: int, height: int) -> dict[str, Any]:
     """Median ms by each way, and the median ratio of two that follow each other."""
     rows = []
     here, there = multiprocessing.Pipe()
-    sender = multiprocessing.get_context("spawn").Process(target=send, args=(there, width, height))
+    sender = multiprocessing.get_context("spawn").Process(target=send, args=(there, given.dtypes, width, height))
     sender.start()
     mapped = BlockReader()
     with connect(f"ws://127.0.0.1:{here.recv()}", max_size=None, compression=None) as connection:
-        for _ in range(rounds + WARM_UPS):
+        for _ in range(given.rounds + WARM_UPS):
             row = {}
             for way in ("socket", "memory"):
                 began_s = time.perf_counter()
@@ -67,8 +66,7 @@ def compare(width: int, height: int, rounds: int) -> dict[str, Any]:
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    sizes, rounds = (SIZES[:1], 4) if given.quick else (SIZES, ROUNDS)
-    found = {f"{width} x {height}": compare(width, height, rounds) for width, height in sizes}
+    found = {f"{width} x {height}": compare(given, width, height) for width, height in given.sizes_px}
     show("Arrays of a step", found)
     return {"pictures": found}
 

@@ -12,41 +12,20 @@ import numpy as np
 from bench import run, show
 from side_by_side import DARK, World, compare, series
 
+from luxloop import Scenario, load
 from luxloop.loop.recording.summary import AXES, END
 from luxloop.loop.scenario import data
-from luxloop.loop.scenario.model import Scenario, load
-
-SYMBOLS = ("distance_warning", "chevrons", "snowflake", "warning_triangle")
-ROADS, HARD_ROADS = ("flat", "bumps", "grade", "mixed"), ("speed_bump", "curb", "pothole", "iso8608")
-SCANS = ("belgian_block", "half_round_bar", "torsion_track", "rough_course")
-BIRDSEYE = ("functions.symbol.features.view='birdseye'", "functions.symbol.features.shape='moments'")
-GAINS = "functions.symbol.controller"
-VIEWS = {
-    "raw image, quadrants": [],
-    "bird's-eye view, second moments, 1.4 times the thesis' rotation gains": [
-        *BIRDSEYE,
-        *(f"{GAINS}.{each}" for each in ("x_rate_m=1.45", "roll_rate_deg=1.0", "pitch_rate_deg=0.7")),
-        f"{GAINS}.rotation={{kp=0.7, ki=0.14, kd=0.14, tracking_steps=2.2}}",
-    ],
-    "bird's-eye view, second moments, the thesis' gains": [
-        *BIRDSEYE,
-        *(f"{GAINS}.{each}" for each in ("x_rate_m=1.45", "roll_rate_deg=0.6", "pitch_rate_deg=0.42")),
-        f"{GAINS}.rotation={{kp=0.5, ki=0.1, kd=0.1, tracking_steps=1.9}}",
-    ],
-}
 
 
-def cases(quick: bool) -> Iterator[tuple[str, str, Scenario]]:
+def scenarios(given: Namespace) -> Iterator[tuple[str, str, Scenario]]:
     """(table, road, scenario) of every run."""
-    for symbol in SYMBOLS:
-        for view, overrides in VIEWS.items():
-            for road in ROADS[:1] if quick else ROADS:
-                yield view, road, load(symbol, [f"road={{kind='{road}'}}", *overrides])
-        for road in () if quick else HARD_ROADS:
-            yield "harder roads, raw image, quadrants", road, load(symbol, [f"road={{kind='{road}'}}"])
+    for symbol in given.symbols:
+        for table, (roads, *changes) in given.tables.items():
+            for road in roads:
+                yield table, road, load(symbol, [f"road={{kind='{road}'}}", *changes])
         start = load(symbol).symbol.start_pose
-        keys = (f"functions.symbol.image='{symbol}'", f"functions.symbol.start.x_m={start.x_m}", f"functions.symbol.start.y_m={start.y_m}")
-        for name in () if quick else SCANS:
+        keys = (f"functions.symbol.image='{symbol}'", f"functions.symbol.start={{x_m={start.x_m}, y_m={start.y_m}}}")
+        for name in given.scans:
             if data.present(load(name).road.file) is not None:
                 yield "measured roads, raw image, quadrants", name, load(name, keys)
 
@@ -73,7 +52,7 @@ def line(runs: Sequence[Mapping[str, Mapping[str, Any]]]) -> dict[str, str]:
 
 def measure(given: Namespace) -> dict[str, Any]:
     runs = {}
-    for part, road, scenario in cases(given.quick):
+    for part, road, scenario in scenarios(given):
         tables = {"open": {"name": "open"}, "thesis_pid": scenario.symbol.controller.model_dump(mode="json")}
         runs.setdefault(part, {}).setdefault(road, []).append(compare(**World("", {}, scenario, tables).parameters)["metrics"])
     for part, roads in runs.items():

@@ -4,21 +4,15 @@ Every step renders two views, for the on and the off frame, as far as they are r
 """
 
 from argparse import Namespace
+from collections.abc import Sequence
 from typing import Any
 
 from bench import Goal, Laps, medians, run, show
 
-from luxloop.loop.scenario.model import load
-from luxloop.loop.simulation.simulation import Simulation
-
-QUICK = ("camera.width_px=320", "camera.height_px=180")
-RUNS = {
-    "driving": (("camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"), 40.0),
-    "night_drive": ((), 60.0),
-}  # goals in ms
+from luxloop import Simulation, load
 
 
-def compare(name: str, overrides: tuple[str, ...], steps: int) -> dict[str, float]:
+def compare(name: str, overrides: Sequence[str], steps: int) -> dict[str, float]:
     """Medians in ms over a run's steps after the first, and of their parts by the clock's shares of these."""
     simulation = Simulation.prepare(load(name, (*overrides, "judge_every=0")))
     state, taken = simulation.start(), []
@@ -32,11 +26,10 @@ def compare(name: str, overrides: tuple[str, ...], steps: int) -> dict[str, floa
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    steps = 2 if given.quick else given.steps
-    found = {name: compare(name, QUICK if given.quick else overrides, steps) for name, (overrides, _) in RUNS.items()}
+    found = {name: compare(name, overrides, given.steps) for name, overrides in given.runs.items()}
     show("A step on one core and its parts, ms", found)
-    return {"ms": found, "goals": [Goal(f"ms a step of {name}", each["step"], RUNS[name][1]) for name, each in found.items()]}
+    return {"ms": found, "goals": [Goal(f"ms a step of {name}", each["step"], given.goals_ms[name]) for name, each in found.items()]}
 
 
 if __name__ == "__main__":
-    run(measure, __doc__, steps={"type": int, "default": 10, "help": "steps to take the median of (10)"})
+    run(measure, __doc__, "steps")

@@ -18,7 +18,6 @@ from luxloop.world.scene.vehicle import CourseParams, VehicleParams, ground_leve
 VEHICLE = VehicleParams(course=(CourseParams(speed_m_s=20.0),))
 AHEAD_M = 17.0  # of the lamps
 FIRST_M, SPACING_M = 100.0, 0.5  # of the way that counts: behind it the road begins, and the ground goes over to it
-WAY_M, SEEDS = 4000.0, 5
 PERCENT, STRAIGHT_M = 5.0, 65.0  # of hills, between whose curves grades are straight
 
 
@@ -40,12 +39,11 @@ def squares_mm2(road: Road, way_m: float) -> np.ndarray:
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    way_m, seeds = (400.0, 1) if given.quick else (WAY_M, SEEDS)
     roads = {
-        **{f"class {each}": [Iso8608(roughness_class=each, seed=seed) for seed in range(1, seeds + 1)] for each in ("B", "C", "D")},
-        **{f"R = {radius_m:.0f} m": [hills(radius_m, way_m)] for radius_m in (1000.0, 4000.0)},
+        **{f"class {each}": [Iso8608(roughness_class=each, seed=seed) for seed in range(1, given.seeds + 1)] for each in "BCD"},
+        **{f"R = {radius_m:.0f} m": [hills(radius_m, given.way_m)] for radius_m in (1000.0, 4000.0)},
     }
-    found = {kind: float(np.sqrt(np.mean([squares_mm2(road, way_m) for road in each]))) for kind, each in roads.items()}
+    found = {kind: float(np.sqrt(np.mean([squares_mm2(road, given.way_m) for road in each]))) for kind, each in roads.items()}
     show("RMS in mm", {"20.6 m ahead": found})
     return {"rms_mm": found}
 

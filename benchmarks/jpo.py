@@ -5,7 +5,7 @@ two presets are calibrated by (docs/lamps.md).
 """
 
 from argparse import Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from statistics import median
 from typing import Any
@@ -27,17 +27,7 @@ from luxloop.world.lamps.patterns import RECTANGLES
 from luxloop.world.lamps.presets import lamp
 from luxloop.world.spmv import multiply
 
-EVERY, QUICK_EVERY = 41, 405  # of the 1,215 rectangles: 30 and 3
 START, CONVERGED = "SSC, a_m = a_r = 1", "joint, MAE, converged"
-# The best of those that were tried for all rectangles alike; sharpening is for pixels that are small beside what they draw.
-GOOD = {
-    "hd84": {"SSC, a_x = 0.9, a_r = 2": MrpcParams(a_x=0.9, a_r=2.0), "SSC, corrected": MrpcParams(a_x=0.7, a_ac=0.4, corrections=1)},
-    "ssl-hd-lores": {
-        "SSC, sharpened": MrpcParams(a_x=0.9, a_r=2.0, sharpening=1.0),
-        "SSC, corrected": MrpcParams(a_x=0.95, a_ac=0.6, sharpening=2.0, corrections=3),
-    },
-}
-BUDGETS = (10, 20, 34, 40, 100)  # iterations
 Way = Callable[[PixelGoal, Tensor], Tensor]
 
 
@@ -47,7 +37,7 @@ def ssc(light: Headlight, tables: PixelMajor, params: MrpcParams, _: PixelGoal |
     return reduce_setpoints(setpoints, tables, params, torch.zeros(light.n_pixels), dark=True)[0]
 
 
-def ways(light: Headlight, good: dict[str, MrpcParams]) -> dict[str, Way]:
+def ways(light: Headlight, good: dict[str, MrpcParams], budgets: Sequence[int]) -> dict[str, Way]:
     """Ways to a wanted texture, by name; the joint ones begin at the SSC that is given to them."""
 
     def joint(iterations: int, gap: float | None = None) -> Way:
@@ -57,17 +47,18 @@ def ways(light: Headlight, good: dict[str, MrpcParams]) -> dict[str, Way]:
         START: lambda goal, _: goal.start,
         **{name: partial(ssc, light, pixel_major(light, params), params) for name, params in good.items()},
         "joint, least squares, converged": lambda goal, _: least_squares(light.matrix, goal),
-        **{f"joint, MAE, {budget} iterations": joint(budget) for budget in BUDGETS},
+        **{f"joint, MAE, {budget} iterations": joint(budget) for budget in budgets},
         CONVERGED: joint(20_000, 0.005),
     }
 
 
-def compare(name: str, every: int) -> dict[str, dict[str, Any]]:
+def compare(given: Namespace, name: str) -> dict[str, dict[str, Any]]:
     """A row for each way to draw every n-th rectangle; prints them."""
     light, params = lamp(name).modules[0].headlight, MrpcParams()
-    tables, all_ways, gaps = pixel_major(light, params), ways(light, GOOD[name]), []
+    good = {way: MrpcParams(**each) for way, each in given.good[name].items()}
+    tables, all_ways, gaps = pixel_major(light, params), ways(light, good, given.budgets), []
     errors, times = ({way: [] for way in all_ways} for _ in range(2))
-    for rectangle in RECTANGLES[every // 2 :: every]:
+    for rectangle in RECTANGLES[given.every // 2 :: given.every]:
         texture = rectangle.texture(light)
         goal = pixel_goal(light, texture, start=ssc(light, tables, params, None, texture))
         for way, draw in all_ways.items():
@@ -88,8 +79,8 @@ def compare(name: str, every: int) -> dict[str, dict[str, Any]]:
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    return {"lamps": {name: compare(name, QUICK_EVERY if given.quick else given.every) for name in GOOD}}
+    return {"lamps": {name: compare(given, name) for name in given.good}}
 
 
 if __name__ == "__main__":
-    run(measure, __doc__, every={"type": int, "default": EVERY, "help": f"take every n-th of the 1,215 rectangles ({EVERY})"})
+    run(measure, __doc__, "every")

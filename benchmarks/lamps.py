@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import scipy.sparse as sp
+import torch
 
 from luxloop.world.headlight import Headlight
 from luxloop.world.spmv import Csr
@@ -19,12 +20,12 @@ def adaptive_side(cols: int) -> int:
 
 def thesis_lamp(rows: int, cols: int, side: int) -> Headlight:
     """+-4 x +-8 deg in a square texture of +-8.1 deg."""
-    return overlapping(rows, cols, TexelGrid.from_degrees(side, side, 8.1, -8.1, -8.1, 8.1), (4.0, 8.0), 1 + OVERLAP)
+    return overlapping(rows, cols, TexelGrid.from_degrees(side, side, 8.1, -8.1, -8.1, 8.1), (4.0, 8.0))
 
 
 def wide_lamp(rows: int, cols: int, texel_rows: int, texel_cols: int) -> Headlight:
     """+-5 x +-10 deg, all of the texture lit."""
-    return overlapping(rows, cols, TexelGrid.from_degrees(texel_rows, texel_cols, 10.0, -10.0, -5.0, 5.0), (5.0, 10.0), 1 + OVERLAP)
+    return overlapping(rows, cols, TexelGrid.from_degrees(texel_rows, texel_cols, 10.0, -10.0, -5.0, 5.0), (5.0, 10.0))
 
 
 def long_rows(rows: int, cols: int, texel_rows: int, texel_cols: int, entries: int) -> Headlight:
@@ -35,28 +36,18 @@ def long_rows(rows: int, cols: int, texel_rows: int, texel_cols: int, entries: i
 def disjoint(cols: int, texel_rows: int) -> Headlight:
     """Pixels of aspect 4:1 in number that do not overlap and fill their texture, as for T fig. 6.1."""
     grid = TexelGrid(rows=texel_rows, cols=4 * texel_rows, left=1.0, right=-1.0, bottom=-0.25, top=0.25)
-    row, col = np.arange(grid.rows) * (cols // 4) // grid.rows, np.arange(grid.cols) * cols // grid.cols
-    n = grid.rows * grid.cols
-    pixel = (row[:, None] * cols + col).ravel()
-    return _lamp(cols // 4, cols, grid, sp.csr_matrix((np.full(n, 1000.0), pixel, np.arange(n + 1)), shape=(n, cols // 4 * cols)))
+    return _lamp(grid, *((np.arange(m) * n // m)[:, None] == np.arange(n) for m, n in ((grid.rows, cols // 4), (grid.cols, cols))))
 
 
-def overlapping(rows: int, cols: int, grid: TexelGrid, half_deg: tuple[float, float], reach: float) -> Headlight:
+def overlapping(rows: int, cols: int, grid: TexelGrid, half_deg: tuple[float, float], reach: float = 1 + OVERLAP) -> Headlight:
     """Pixels of equal angles; each lights the texels whose centres lie within `reach` times its pitch. half_deg: vertical, horizontal."""
-    z = np.degrees(np.arctan(grid.top + (np.arange(grid.rows) + 0.5) / grid.rows * (grid.bottom - grid.top)))
-    y = np.degrees(np.arctan(grid.left + (np.arange(grid.cols) + 0.5) / grid.cols * (grid.right - grid.left)))
-    vertical, horizontal = (_axis(*each, reach) for each in ((z, rows, half_deg[0]), (y, cols, half_deg[1])))
-    return _lamp(rows, cols, grid, sp.kron(vertical, horizontal, "csr"))
+    y, z = (np.degrees(np.arctan(each.numpy())) for each in grid.tangents(torch.float64, torch.device("cpu")))
+    axes = zip((z, y), (rows, cols), half_deg, strict=True)
+    return _lamp(grid, *(np.abs((half - angle[:, None]) / (2 * half) * n - 0.5 - np.arange(n)) <= reach / 2 for angle, n, half in axes))
 
 
-def _lamp(rows: int, cols: int, grid: TexelGrid, matrix: sp.csr_matrix) -> Headlight:
-    return Headlight(name=f"{rows} x {cols}", matrix=Csr.from_scipy(matrix), pixel_rows=rows, pixel_cols=cols, **vars(grid))
-
-
-def _axis(angle_deg: np.ndarray, n: int, half_deg: float, reach: float) -> sp.csr_matrix:
-    """Which of n pixels from half_deg down to -half_deg light which angles."""
-    position = (half_deg - angle_deg) / (2 * half_deg) * n - 0.5  # in pixels
-    pixel = np.round(position).astype(int)[:, None] + np.arange(-math.ceil(reach), math.ceil(reach) + 1)
-    lit = (pixel >= 0) & (pixel < n) & (np.abs(position[:, None] - pixel) <= reach / 2)
-    texel = np.broadcast_to(np.arange(len(angle_deg))[:, None], pixel.shape)
-    return sp.csr_matrix((np.full(lit.sum(), math.sqrt(1000.0)), (texel[lit], pixel[lit])), shape=(len(angle_deg), n))
+def _lamp(grid: TexelGrid, vertical: np.ndarray, horizontal: np.ndarray) -> Headlight:
+    """Of pixels of 1000 cd. vertical, horizontal: which rows and columns of pixels light those of texels, `[texels, pixels]` bool."""
+    matrix = Csr.from_scipy(sp.kron(*(sp.csr_matrix(each, dtype=float) for each in (1000 * vertical, horizontal)), "csr"))
+    rows, cols = vertical.shape[1], horizontal.shape[1]
+    return Headlight(name=f"{rows} x {cols}", matrix=matrix, pixel_rows=rows, pixel_cols=cols, **vars(grid))

@@ -14,17 +14,14 @@ import torch
 from bench import interleaved, run, show
 from rig_bench import ALBEDO, rig, wall
 
+from luxloop import idealised
 from luxloop.loop.rig.arrays import Array
 from luxloop.loop.rig.calibration.calibrate import Calibration
 from luxloop.loop.rig.calibration.shots import linear_response
 from luxloop.loop.rig.live.plant import Digitiser
 from luxloop.perception.camera import saturation_luminance
 from luxloop.world.headlight import Headlight
-from luxloop.world.lamps.presets import idealised
 
-CAMERAS = ((640, 272), (1280, 544), (1920, 800))
-TEXELS = ((1, 1), (4, 2))  # rows and columns a pixel: 332 x 1024 and 1328 x 2048 texels
-REPEATS = 30
 LIT = 0.02  # of the brightest texel
 
 
@@ -36,9 +33,9 @@ def patterns(light: Headlight) -> dict[str, Array]:
     return {name: 0.8 * np.asarray(u, np.float32).ravel() for name, u in images.items()}
 
 
-def cases(width: int, height: int, repeats: int) -> dict[str, Any]:
+def compare(given: Namespace, width: int, height: int) -> dict[str, Any]:
     """A case for each grid of texels. The lens is known as a board shows it."""
-    of = rig(wall("idealised-332x1024", width, height, 24.0, pitch_deg=4.0))
+    of = rig(wall("idealised-332x1024", {"width_px": width, "height_px": height, "hfov_deg": 24.0, "pitch_deg": 4.0}))
     bench, truth, light = of.bench, of.truth, of.light
     scale = float(np.pi * saturation_luminance(bench.camera) / ALBEDO)
     response, lamps = linear_response(bench.levels), {"left matrix": truth.lamp}
@@ -47,10 +44,10 @@ def cases(width: int, height: int, repeats: int) -> dict[str, Any]:
     pictures = {name: bench.frames([u], 1, bench.camera.exposure_s)[0] for name, u in shown.items()}
     grey = pictures["smooth"]
     colour = np.stack([grey] * 3, -1)
-    for texels in TEXELS:
-        lamp = idealised(texels_per_pixel=texels)
+    for texels in given.texels:
+        lamp = idealised(texels_per_pixel=tuple(texels))
         reader = Digitiser.of(calibration, "left matrix", lamp)
-        ms = interleaved({"grey": partial(reader.texture, grey), "colour": partial(reader.texture, colour)}, repeats)
+        ms = interleaved({"grey": partial(reader.texture, grey), "colour": partial(reader.texture, colour)}, given.rounds)
         errors = {}
         for name, u in shown.items():
             true = lamp.light_texture(torch.from_numpy(u))
@@ -65,8 +62,8 @@ def cases(width: int, height: int, repeats: int) -> dict[str, Any]:
 def measure(given: Namespace) -> dict[str, Any]:
     cv2.setNumThreads(1)
     found = {}
-    for size in CAMERAS[:1] if given.quick else CAMERAS:
-        found |= cases(*size, 3 if given.quick else REPEATS)
+    for size in given.cameras_px:
+        found |= compare(given, *size)
     show("A live beam", found)
     return {"cases": found}
 

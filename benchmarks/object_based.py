@@ -8,23 +8,22 @@ docs/results/object_based.md.
 import hashlib
 from argparse import Namespace
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import object_based_jobs as jobs
+import pandas as pd
 import tracking
-from bench import Goal, run, show, study, study_options
+from bench import Goal, run, show, study
 from numpy.typing import NDArray
-from object_based_jobs import COMES, DENSE, END, FULL, FULL_WELLS, LATE, LOW, LUMINANCE, NEWCOMER, OURS, RATE_HZ
+from object_based_jobs import COMES, DENSE, END, FULL, LATE, LOW, LUMINANCE, NEWCOMER, OURS, RATE_HZ
 
 from luxloop.loop.studies.training.evaluate import SURE
 from luxloop.perception.detection.build import WEIGHTS
 
 NETWORK = Path(__file__).parents[1] / "perception" / "detection" / WEIGHTS
-SCENES, SEEDS = 64, 5
-QUICK, WHOLE = (1, 45), (3, 75)  # times of the tracker's situations, and frames of each
 FOUND = SURE  # confidence in full light from which on an object counts: what the detector is evaluated by
 NEAR = 0.05  # confidence that may be lost
 KEPT = 0.5  # share of the evaluated steps in which a track must show an object, or it is lost
@@ -103,92 +102,71 @@ def zone_row(result: Mapping[str, Any]) -> Row:
     }
 
 
-def quantile(rows: Sequence[Row], key: str, share: float) -> float | None:
-    values = [row[key] for row in rows if row.get(key) is not None]
-    return float(np.quantile(values, share)) if values else None
-
-
-def mean(values: Iterable[float | None]) -> float | None:
-    known = [each for each in values if each is not None]
-    return float(np.mean(known)) if known else None
-
-
-def newcomers(rows: Sequence[Row]) -> float | None:
+def lit_soon(newcomers_s: pd.Series) -> float:
     """Share of the newcomers that are lit within half a second."""
-    return mean(row["newcomer_s"] <= 0.5 for row in rows if "newcomer_s" in row)
+    return (newcomers_s.dropna() <= 0.5).mean()
 
 
-def goals(light: Sequence[Row], zones: Mapping[str, Row], situations: Mapping[str, Row]) -> list[Goal]:
-    own = [row for row in light if row["variant"] == OURS]
-    static, moving = ([row for row in own if row["moving"] is moves] for moves in (False, True))
-    searches = [time_s for row in own for time_s in row["searches_s"]]
-    lost = mean(row["lost"] == 0 for row in own if row["kept"] is not None)
-    steps = [zones[f"{well:g} e"]["worst steps"] for well in FULL_WELLS]
-    return [
-        Goal("Flux saved against the low beam, median", quantile(own, "saved", 0.5), 0.85, True),
-        Goal("Every object within 0.05 of full light, share of the runs", mean(row["kept"] for row in own), 0.80, True),
-        Goal("No object lost that full light keeps, share of the runs", lost, 0.98, True),
-        Goal("Settled, static, 90 % quantile, s", quantile(static, "settle_s", 0.9), 2.0),
-        Goal("The same: moving", quantile(moving, "settle_s", 0.9), 2.0),
-        Goal("End of a track's search, 90 % quantile, s", float(np.quantile(searches, 0.9, method="higher")) if searches else None, 2.0),
-        Goal("A newcomer lit within 0.5 s, share", newcomers(own), 0.90, True),
-        Goal("Heads and windscreens after the first second, lx", quantile(own, "eyes_lx", 1.0), 1.0),
-        Goal("Steps of zones to come within 5 %", steps[0], 10),
-        Goal("The same: with the detector's camera", steps[1], 10),
+def goals(light: pd.DataFrame, zones: Mapping[str, Row], situations: Mapping[str, Row]) -> list[Goal]:
+    own = light[light["variant"] == OURS]
+    static, moving = (own.loc[own["moving"] == moves, "settle_s"].quantile(0.9) for moves in (False, True))
+    searches = own["searches_s"].explode().dropna().astype(float).quantile(0.9, interpolation="higher")
+    found = [
+        Goal("Flux saved against the low beam, median", own["saved"].median(), 0.85, True),
+        Goal("Every object within 0.05 of full light, share of the runs", own["kept"].mean(), 0.80, True),
+        Goal("No object lost that full light keeps, share of the runs", (own.dropna(subset="kept")["lost"] == 0).mean(), 0.98, True),
+        Goal("Settled, static, 90 % quantile, s", static, 2.0),
+        Goal("The same: moving", moving, 2.0),
+        Goal("End of a track's search, 90 % quantile, s", searches, 2.0),
+        Goal("A newcomer lit within 0.5 s, share", lit_soon(own["newcomer_s"]), 0.90, True),
+        Goal("Heads and windscreens after the first second, lx", own["eyes_lx"].max(), 1.0),
+        *(Goal(f"Steps of zones to come within 5 %, full well of {well}", each["worst steps"], 10) for well, each in zones.items()),
         Goal("Identity switches", sum(row["switches"] for name, row in situations.items() if name != DENSE), 0),
     ]
+    return [each._replace(value=None if np.isnan(each.value) else float(each.value)) for each in found]
 
 
-def light_table(light: Sequence[Row]) -> dict[str, dict[str, Any]]:
+def light_table(light: pd.DataFrame) -> dict[str, dict[str, Any]]:
     """A row for each variant: what is saved beside what is kept."""
-    sets = {name: [row for row in light if row["variant"] == name] for name in dict.fromkeys(row["variant"] for row in light)}
-    own = sets.get(OURS, [])
-    sets |= {f"{OURS}, {kind}": [row for row in own if row["moving"] is (kind == "moving")] for kind in ("static", "moving")}
-    return {
-        name: {
-            "runs": len(rows),
-            "flux saved": {"median": quantile(rows, "saved", 0.5), "10 %": quantile(rows, "saved", 0.1)},
-            "every object kept": mean(row["kept"] for row in rows),
-            "greatest loss": {"median": quantile(rows, "gap", 0.5), "90 %": quantile(rows, "gap", 0.9)},
-            "runs with one lost": mean(row["lost"] > 0 for row in rows if "lost" in row),
-            "heads above 1 lx, frames": {key: mean(row.get(key) for row in rows) for key in ("dazzled", "dazzled_tracked")},
-            "newcomer lit within 0.5 s": newcomers(rows),
-        }
-        for name, rows in sets.items()
+    own = light[light["variant"] == OURS]
+    parts = own.assign(variant=OURS + np.where(own["moving"], ", moving", ", static"))
+    by = pd.concat([light, parts]).groupby("variant", sort=False)
+    columns = {
+        "runs": by.size(),
+        "flux saved median": by["saved"].median(),
+        "flux saved 10 %": by["saved"].quantile(0.1),
+        "every object kept": by["kept"].mean(),
+        "greatest loss median": by["gap"].median(),
+        "greatest loss 90 %": by["gap"].quantile(0.9),
+        "runs with one lost": by["lost"].agg(lambda each: (each.dropna() > 0).mean()),
+        "heads above 1 lx, frames dazzled": by["dazzled"].mean(),
+        "heads above 1 lx, frames dazzled_tracked": by["dazzled_tracked"].mean(),
+        "newcomer lit within 0.5 s": by["newcomer_s"].agg(lit_soon),
     }
+    return pd.DataFrame(columns).to_dict("index")
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    (times, steps), scenes, seeds = (QUICK, 2, 1) if given.quick else (WHOLE, given.scenes, given.seeds)
-    todo = {
-        jobs.zones: jobs.zone_jobs(seeds),
-        jobs.track: jobs.track_jobs(seeds, times, steps),
-        jobs.illuminate: jobs.scene_jobs(scenes, seeds),
-    }
+    todo = {jobs.zones: jobs.zone_jobs(given), jobs.track: jobs.track_jobs(given), jobs.illuminate: jobs.scene_jobs(given)}
     weights = hashlib.sha256(NETWORK.read_bytes()).hexdigest()
     (of_zones, of_tracks, of_scenes), failed = zip(*(study(*each, given, [jobs, tracking], weights) for each in todo.items()), strict=True)
     light = [row for key, result in of_scenes.items() for row in measures(key, result)]
-    rows, runs = [zone_row(each) for each in of_zones.values()], defaultdict(list)
+    frame = pd.DataFrame(light).astype({"kept": float})
+    by_well = pd.DataFrame([zone_row(each) for each in of_zones.values()]).explode("steps").astype(float).groupby("saturation_e")
+    zones = {
+        f"{well:g} e": {"mean steps": each["steps"].mean(), "worst steps": each["steps"].max(), "worst error": each["error"].max()}
+        for well, each in sorted(by_well, reverse=True)
+    }
+    runs = defaultdict(list)
     for each in of_tracks.values():
         runs[each["situation"]] += each["runs"]
-    zones = {}
-    for well in FULL_WELLS:
-        own = [row for row in rows if row["saturation_e"] == well]
-        taken = [step for row in own for step in row["steps"]]
-        zones[f"{well:g} e"] = {
-            "mean steps": mean(taken),
-            "worst steps": max(taken, default=None),
-            "worst error": quantile(own, "error", 1.0),
-        }
     situations = {name: tracking.summary(each) for name, each in runs.items()}
-    show("Light and confidence", light_table(light))
+    show("Light and confidence", light_table(frame))
     show("Zones", zones)
     show("Tracker", situations)
     failures = {key: reason for each in failed for key, reason in each.items()}
-    return {"light": light, "zones": zones, "tracks": situations, "goals": goals(light, zones, situations), "failures": failures}
+    return {"light": light, "zones": zones, "tracks": situations, "goals": goals(frame, zones, situations), "failures": failures}
 
 
 if __name__ == "__main__":
-    scenes = {"type": int, "default": SCENES, "help": f"by default {SCENES}"}
-    seeds = {"type": int, "choices": range(1, SEEDS + 1), "default": SEEDS, "help": f"by default {SEEDS}"}
-    run(measure, __doc__, scenes=scenes, seeds=seeds, **study_options("object_based"))
+    run(measure, __doc__, "scenes", "seeds", "out", "jobs")

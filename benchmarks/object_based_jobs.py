@@ -1,20 +1,21 @@
 """The jobs of benchmarks/object_based.py: all variants of lighting in one scene, zones, the tracker in good light."""
 
 import math
+from argparse import Namespace
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import count, product
 from typing import Any
 
 import numpy as np
 import torch
 from tracking import Identities
 
+from luxloop import Scenario, Simulation, load, validate
 from luxloop.controllers.functions.object_based import ObjectBasedState
-from luxloop.loop.scenario.model import Scenario, load, validate
 from luxloop.loop.simulation.detection import pairs
 from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.lamps import flux_by_side
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import expose
 from luxloop.perception.ground_truth import GroundTruth
 from luxloop.perception.noise import FrameNoise
@@ -28,15 +29,6 @@ WORLD = {
 }
 FIRST = 2_000_000  # seed of the first scene: the network was trained on scenes from 10,000 on, and evaluated on those from 1,000,000 on
 OURS = "luxloop"
-SHARE = 0.08  # of the high beam, which is a fifth of the low one's flux
-VARIANTS = {  # what each changes in the lighting of the scenario `obl`
-    OURS: (),
-    "over the low beam": ("lighting.base.beam='low'", "functions.object_light.ambient={first=1.0, least=0.05}"),
-    "raising": ("functions.object_light.loop.search={kind='raise'}",),
-    "by class": ("functions.object_light.method='class'", f"functions.object_light.share={SHARE}"),
-    "10 lx for all": ("functions.object_light.method='constant'", f"functions.object_light.share={SHARE}"),
-    "stripes": ("functions.object_light.light.pattern='stripes'",),
-}
 LOW, FULL = "low beam", "full light"  # the latter with all pixels on
 BEAMS = {LOW: "low", "high beam": "high", FULL: None}
 HIGH_BEAM = {"lighting": {"base": {"beam": "high"}}}
@@ -50,9 +42,7 @@ LEAST_HEIGHT_PX, LEAST_VISIBLE = 24, 0.5  # of objects that count; as much of th
 DAZZLING_LX = 1.0  # on heads and windscreens
 FREE_M = 1.5  # from a newcomer to everybody else
 
-REFLECTANCES = (0.05, 0.1, 0.2, 0.4, 0.8)
 WALLS_M = ((17.0, 3.0), (25.0, 0.0), (17.0, -3.0))  # x and y
-FULL_WELLS = (8000.0, 2000.0)  # electrons, of cameras that measure up to 10.7 and 2.7 cd/m^2
 LUMINANCE, ZONE_STEPS = 0.9, 20  # wanted in zones, cd/m^2
 Jobs = dict[str, dict[str, Any]]  # parameters by key
 
@@ -82,13 +72,13 @@ def scene(seed: int, moving: bool) -> dict[str, Any]:
     return plain | {"objects": [newcomer | {"track": [at], "appears_s": comes_s}]}
 
 
-def scene_jobs(scenes: int, seeds: int) -> Jobs:
+def scene_jobs(given: Namespace) -> Jobs:
     """Every other scene moves."""
-    variants = {name: load("obl", each).model_dump(mode="json", include={"lighting", "functions"}) for name, each in VARIANTS.items()}
-    counts = {name: seeds if name == OURS else 1 for name in VARIANTS}
+    variants = {name: load("obl", each).model_dump(mode="json", include={"lighting", "functions"}) for name, each in given.variants.items()}
+    counts = {name: given.seeds if name == OURS else 1 for name in variants}
     return {
         f"scene {k}, {'moving' if k % 2 else 'static'}": {"scenario": scene(FIRST + k, k % 2 == 1), "variants": variants, "seeds": counts}
-        for k in range(scenes)
+        for k in range(given.scenes)
     }
 
 
@@ -208,14 +198,13 @@ def finite(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else round(value, 3)
 
 
-def zone_jobs(seeds: int) -> Jobs:
+def zone_jobs(given: Namespace) -> Jobs:
     """Each reflectance once in each place, with each camera."""
-    rows = [[REFLECTANCES[(first + k) % len(REFLECTANCES)] for k in range(len(WALLS_M))] for first in range(len(REFLECTANCES))]
+    n = len(given.reflectances)
+    rows = [[given.reflectances[(first + k) % n] for k in range(len(WALLS_M))] for first in range(n)]
     return {
         f"zones, {' '.join(map(str, each))}, {well:g} e, seed {seed}": {"reflectances": each, "saturation_e": well, "seed": seed}
-        for seed in range(seeds)
-        for well in FULL_WELLS
-        for each in rows
+        for seed, well, each in product(range(given.seeds), given.full_wells_e, rows)
     }
 
 
@@ -236,41 +225,32 @@ def _box(name: str, size_m: tuple[float, ...], albedo: float, position_m: tuple[
     return {"kind": "box", "name": name, "size_m": size_m, "albedo": albedo, "track": [{"position_m": position_m}]}
 
 
-def _walker(seed: int, kind: str, begin: tuple[float, float], end: tuple[float, float], speed_m_s: float) -> dict[str, Any]:
-    path = {"points_m": [(*begin, 0.0), (*end, 0.0)], "speed_m_s": speed_m_s}
-    return {"kind": kind, "name": f"{kind}_{seed}", "seed": seed, "path": path}
-
-
-def situations(k: int) -> dict[str, list[dict[str, Any]]]:
+def situations(given: Namespace, k: int) -> dict[str, list[dict[str, Any]]]:
     """Objects of the k-th place by situation."""
-    seed, crossing_m, walk_m = FIRST + 10 * k, 13.0 + 3 * k, 14.0 + 2 * k
-    return {
-        "two pedestrians cross": [
-            _walker(seed, "pedestrian", (crossing_m, 2.0), (crossing_m, -6.0), 1.4),
-            _walker(seed + 1, "pedestrian", (crossing_m + 1.5, -2.0), (crossing_m + 1.5, 6.0), 1.4),
-        ],
-        "a cyclist overtakes": [
-            _walker(seed + 2, "cyclist", (16.0 + 2 * k, -1.2), (60.0, -1.2), 2.0),
-            _walker(seed + 3, "cyclist", (11.0 + 2 * k, 0.2), (60.0, 0.2), 6.0),
-        ],
-        "10 frames behind a pillar": [
-            _walker(seed + 4, "pedestrian", (walk_m, -1.6), (walk_m, 6.0), 1.3),
-            _box("pillar", (0.3, 0.85, 2.4), 0.2, (walk_m - 1.5, 0.0, 0.0)),
-        ],
-    }
+    found, seeds = {}, count(FIRST + 10 * k)
+    for name, (farther_m, *walkers) in given.situations.items():
+        found[name] = []
+        for kind, (x, y), (end_x, end_y), speed_m_s in walkers:
+            seed, away_m = next(seeds), farther_m * k
+            path = {"points_m": [(x + away_m, y, 0.0), (end_x + away_m, end_y, 0.0)], "speed_m_s": speed_m_s}
+            found[name].append({"kind": kind, "name": f"{kind}_{seed}", "seed": seed, "path": path})
+        if "pillar" in name:
+            found[name].append(_box("pillar", (0.3, 0.85, 2.4), 0.2, (x + away_m - 1.5, 0.0, 0.0)))
+    return found
 
 
 DENSE = "dense traffic"
 
 
-def track_jobs(seeds: int, times: int, steps: int) -> Jobs:
+def track_jobs(given: Namespace) -> Jobs:
     """Each situation so often, each time in another place with others."""
     found = {}
-    for k in range(times):
-        plain = {name: {"name": name, "steps": steps, **WORLD, "objects": objects} for name, objects in situations(k).items()}
+    for k in range(given.times):
+        plain = {name: {"name": name, **WORLD, "objects": objects} for name, objects in situations(given, k).items()}
         traffic = {"seed": k, "pedestrians": 8, "cyclists": 3, "cars": 2, "parked": 2, "moving": True}
-        plain[DENSE] = {**scene(FIRST + 900_000 + k, moving=True), "objects": [], "steps": steps, "traffic": traffic}
-        found |= {f"{name} {k}": {"situation": name, "scenario": each, "seeds": seeds} for name, each in plain.items()}
+        plain[DENSE] = {**scene(FIRST + 900_000 + k, moving=True), "objects": [], "traffic": traffic}
+        for name, each in plain.items():
+            found[f"{name} {k}"] = {"situation": name, "scenario": each | {"steps": given.frames}, "seeds": given.seeds}
     return found
 
 

@@ -12,31 +12,14 @@ import torch
 from bench import run, show
 from torch import Tensor
 
+from luxloop import Ego, Observation, ProjectionCommand, Simulation, load
 from luxloop.controllers.symbol.heights.feedforward import height_map_of
 from luxloop.controllers.symbol.heights.height_controller import HeightControllerParams, region_of
 from luxloop.controllers.symbol.heights.height_map import drawn_on
-from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.controllers.symbol.sensing.protocol import Observation
-from luxloop.loop.scenario.model import load
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import camera_view
-from luxloop.perception.egomotion import Ego
 from luxloop.world.frames import inverse, transform
 
-STEPS, FROM = 60, 10
-NOD = "vehicle.oscillation={{pitch_deg={}, rate_hz=1.2}}"
-ROUGH = "road={kind='iso8608', roughness_class='D', seed=15}"
-SPEED = "vehicle.course=[{{speed_m_s={}}}]"
-ROWS = {f"rough, class D, {speed} m/s": (ROUGH, SPEED.format(speed)) for speed in (5, 10, 20)} | {
-    f"flat, 10 m/s, nods by {deg}°": ("road.kind='flat'", SPEED.format(10), NOD.format(deg)) for deg in (0.2, 1)
-}
 BOUND = "true road and pose"
-COLUMNS = {
-    **{name: (name, ()) for name in ("open", "thesis_pid", "luxloop")},
-    "luxloop, in time": ("luxloop", tuple(f"sensors.{sensor}.delay_s=0" for sensor in ("wheels", "gyro", "attitude"))),
-    "luxloop, exact": ("luxloop", ("sensors={}",)),
-    BOUND: ("open", ()),
-}
 
 
 class TruePose:
@@ -62,25 +45,22 @@ class TruePose:
         return state + 1
 
 
-def iou(changes: tuple[str, ...], column: str, steps: int) -> np.ndarray:
-    """Of each step, 0 where there is none."""
-    controller, more = COLUMNS[column]
-    keys = (f"functions.symbol.controller={{name='{controller}'}}", f"steps={steps}")
-    simulation = Simulation.prepare(load("driving", (*changes, *more, *keys)))
+def mean_iou(given: Namespace, row: str, column: str) -> float:
+    """Mean over the steps from `given.from_step` on, 0 where there is none."""
+    controller, *changes = given.columns[column]
+    keys = (f"functions.symbol.controller={{name='{controller}'}}", f"steps={given.steps}")
+    simulation = Simulation.prepare(load("driving", (*given.rows[row], *changes, *keys)))
     if column == BOUND:
         simulation = simulation.with_controller(TruePose(simulation))
-    return np.nan_to_num([float(result.symbol.metrics.iou) for result in simulation.evaluations()])
+    iou = np.nan_to_num([float(result.symbol.metrics.iou) for result in simulation.evaluations()])
+    return float(iou[given.from_step :].mean())
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    steps, begin = (2, 0) if given.quick else (STEPS, FROM)
-    found = {
-        row: {column: float(iou(ROWS[row], column, steps)[begin:].mean()) for column in COLUMNS}
-        for row in (list(ROWS)[-1:] if given.quick else given.only or ROWS)
-    }
+    found = {row: {column: mean_iou(given, row, column) for column in given.columns} for row in given.only}
     show("Mean IoU", found)
-    return {"steps": steps, "results": found}
+    return {"steps": given.steps, "results": found}
 
 
 if __name__ == "__main__":
-    run(measure, __doc__, only={"nargs": "+", "metavar": "ROW", "choices": list(ROWS), "help": "these rows alone"})
+    run(measure, __doc__, "only")

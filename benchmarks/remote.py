@@ -16,16 +16,12 @@ import torch
 from bench import Laps, medians, run, show
 from websockets.sync.client import connect
 
-from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.loop.run import prepare
-from luxloop.loop.scenario.model import load
+from luxloop import Arrivals, Exposure, Frame, Utilisation, load, prepare
 from luxloop.loop.simulation.clock import FromZero
-from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Plant
+from luxloop.loop.simulation.protocol import Plant
 from luxloop.loop.studio.inbox import unpack
 from luxloop.world.messages import pack, raw
 
-CASES = list(itertools.product(((640, 360), (1280, 720)), ("utilisation", "texture"), ("symbol", "all pixels")))
-STEPS, QUICK_STEPS = 100, 4
 PERIOD_S = 1 / 30
 
 
@@ -100,8 +96,10 @@ def compare(size: tuple[int, int], sends: str, lit: str, steps: int) -> dict[str
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    cases, steps = (CASES[:1], QUICK_STEPS) if given.quick else (CASES, STEPS)
-    found = {f"{size[0]} x {size[1]} px, {sends}, {lit}": compare(size, sends, lit, steps) for size, sends, lit in cases}
+    found = {
+        f"{size[0]} x {size[1]} px, {sends}, {lit}": compare(size, sends, lit, given.steps)
+        for size, sends, lit in itertools.product(given.sizes_px, given.sends, given.lit)
+    }
     show("A plant in another process", found)
     return {"cases": found}
 

@@ -1,17 +1,18 @@
 """A rig whose every value is known, with effects that its calibration does not model."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
+from luxloop import Scenario, validate
 from luxloop.loop.rig.arrays import Array
 from luxloop.loop.rig.calibration.geometry import CameraModel, Geometry, Pose
 from luxloop.loop.rig.calibration.intrinsics import Corners, lens
 from luxloop.loop.rig.calibration.setups import SimulatedSetup, simulated_setup
 from luxloop.loop.rig.simulated.faults import LensParams
 from luxloop.loop.rig.simulated.lens import Lens, distort, undistort
-from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.build_lamps import mount
 from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.perception.camera import camera_view
@@ -19,18 +20,29 @@ from luxloop.world.headlight import Headlight
 
 SCREEN_M = 5.95  # of the screen before the lamp
 ALBEDO = 0.8
-BLUR, VEIL = {"blur_px": 0.6}, {"veil": 0.03, "veil_px": 40.0}
 SHEEN, SHEEN_DEG = 0.15, 12.0  # of the screen that is not Lambertian: brighter near the mirror direction
 BROWN, DIVISION = (-0.12, 0.05), (-0.1,)  # over half of the picture's width
 CORNER_PX = 0.03  # standard deviation of corners that are found
-SCREEN = {
-    "kind": "box",
-    "name": "screen",
-    "albedo": ALBEDO,
-    "size_m": [0.1, 6.0, 4.0],
-    "track": [{"position_m": [SCREEN_M + 0.05, 0.0, -1.0]}],
+WALL = {
+    "name": "wall",
+    "steps": 1,
+    "renderer": "raycast",
+    "headlight": {"lamps": ["left"], "distance_m": 0.0},
+    "surface": {"grain": 0.0},
+    "camera": {
+        **{"x_m": -0.3, "y_m": 0.25, "z_m": 1.0, "pitch_deg": 3.0, "yaw_deg": -2.0, "exposure_s": 0.004},
+        **{"sensitivity_e_per_cd_s_m2": 5e3, "saturation_e": 10_000.0},
+    },
+    "objects": [
+        {
+            "kind": "box",
+            "name": "screen",
+            "albedo": ALBEDO,
+            "size_m": [0.1, 6.0, 4.0],
+            "track": [{"position_m": [SCREEN_M + 0.05, 0.0, -1.0]}],
+        }
+    ],
 }
-CAMERA = {"x_m": -0.3, "y_m": 0.25, "z_m": 1.0, "pitch_deg": 3.0, "yaw_deg": -2.0, "exposure_s": 0.004}
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,30 +69,18 @@ def lens_px(camera: CameraModel, params: LensParams, at: Array) -> Array:
     return np.asarray(distort(params, (at - centre) / focal) * focal + centre)
 
 
-def wall(model: str, width: int, height: int, hfov_deg: float, **camera: float) -> Scenario:
+def wall(model: str, camera: Mapping[str, float]) -> Scenario:
     """A lamp on a table before a screen."""
-    size = {"width_px": width, "height_px": height, "hfov_deg": hfov_deg, "sensitivity_e_per_cd_s_m2": 5e3, "saturation_e": 10_000.0}
-    plain = {
-        "name": "wall",
-        "steps": 1,
-        "renderer": "raycast",
-        "headlight": {"model": model, "lamps": ["left"], "distance_m": 0.0},
-        "surface": {"grain": 0.0},
-        "camera": {**CAMERA, **size, **camera},
-        "objects": [SCREEN],
-    }
-    return validate(plain, "wall")
+    return validate(WALL | {"headlight": {**WALL["headlight"], "model": model}, "camera": WALL["camera"] | camera}, "wall")
 
 
-def rig(
-    scenario: Scenario, optics: LensParams | None = None, gloss: bool = False, division: bool = False, fine: int = 2, seed: int = 0
-) -> Rig:
+def rig(scenario: Scenario, optics: Mapping[str, float] | None = None, gloss: bool = False, division: bool = False, fine: int = 2) -> Rig:
     """The rig of a scenario; its camera and screen as a board would have shown them.
 
     What the calibration does not know of: optics of the lens, a glossy screen, a lens of the division model (Fitzgibbon 2001).
     """
     (module,) = lamp_modules(mount(scenario.headlight))
-    pinhole, rng = CameraModel.of(scenario.camera), np.random.default_rng(seed)
+    pinhole, rng = CameraModel.of(scenario.camera), np.random.default_rng(0)
     scale = (2 * pinhole.matrix[0, 0] / pinhole.width) ** 2
     coefficients = tuple(c * scale**k for k, c in enumerate(DIVISION if division else BROWN, 1))
     params = LensParams(model="division" if division else "opencv", coefficients=coefficients)
@@ -90,7 +90,7 @@ def rig(
     screen, lamp = (Pose.of(to_camera @ each) for each in (T_world_screen, module.T_body_headlight.numpy()))
     truth = Geometry(pinhole, screen, lamp)
     if optics or gloss:
-        gain, glass = _sheen(truth, params) if gloss else 1.0, Lens.of(optics or LensParams(), scenario.camera)
+        gain, glass = _sheen(truth, params) if gloss else 1.0, Lens.of(LensParams(**optics or {}), scenario.camera)
         bench = replace(bench, optics=lambda luminance: glass.image(gain * luminance))
     camera, _ = lens(views(pinhole, params, rng), pinhole.width, pinhole.height)
     off = Pose(lamp.turn + rng.normal(0, 0.01, 3), lamp.place + rng.normal(0, 0.05, 3))

@@ -1,51 +1,36 @@
 """How well a lamp is digitised, with and without effects that the calibration does not model: places, intensities, directions.
 
-`python benchmarks/rig_calibration.py small` or `hd` prints a row of the table of docs/rig_calibration.md for each case.
+`python benchmarks/rig_calibration.py --lamp small` or `hd` prints a row of the table of docs/rig_calibration.md for each case.
 """
 
 import itertools
-import sys
+from argparse import Namespace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import torch
-from bench import show
-from rig_bench import ALBEDO, BLUR, VEIL, Rig, lens_px, rig, wall
+from bench import run, show
+from rig_bench import ALBEDO, Rig, lens_px, rig, wall
 
+from luxloop import Lamp, Module, Scenario, idealised
 from luxloop.loop.rig.arrays import Array
 from luxloop.loop.rig.calibration.digitise import ModuleMeasurement, Nominal, Reading, digitise_module, lux, scale_to_lux
 from luxloop.loop.rig.calibration.geometry import Geometry, candela_factor
 from luxloop.loop.rig.calibration.shots import Shots, linear_response
-from luxloop.loop.rig.simulated.faults import LensParams
-from luxloop.loop.scenario.model import Scenario
 from luxloop.world.headlight import Headlight
-from luxloop.world.headlight.lamp import Lamp, Module
 from luxloop.world.lamps import archive
-from luxloop.world.lamps.presets import idealised
-
-CASES = {  # arguments of `rig`
-    "nothing": {},
-    "blur": {"optics": LensParams(**BLUR)},
-    "veiling glare": {"optics": LensParams(**VEIL)},
-    "glossy screen": {"gloss": True},
-    "another lens": {"division": True},
-    "all four": {"optics": LensParams(**BLUR, **VEIL), "gloss": True, "division": True},
-}
-LAMPS = {  # arguments of the preset and of the camera that looks at its light
-    "hd": ((), {"width": 1920, "height": 800, "hfov_deg": 24.0, "pitch_deg": 4.0}),
-    "small": ((20, 40, (4, 2), 4.0, 1.8, -2.2), {"width": 160, "height": 120, "hfov_deg": 12.0}),
-}
 
 
-def uneven_wall(size: str, folder: Path, seed: int = 1) -> Scenario:
+def uneven_wall(given: Namespace, size: str, folder: Path) -> Scenario:
     """A lamp whose pixels differ by 15 % and of which two are dead, before a screen."""
-    arguments, camera = LAMPS[size]
-    light = idealised(*arguments)
-    share = np.exp(0.15 * np.random.default_rng(seed).standard_normal(light.n_pixels)).clip(0.5, 1.5)
+    lamp = given.lamps[size]
+    light = idealised(**lamp["preset"])
+    share = np.exp(0.15 * np.random.default_rng(1).standard_normal(light.n_pixels)).clip(0.5, 1.5)
     share[[light.n_pixels // 3, light.n_pixels // 2 + 5]] = 0
     archive.save(folder / f"{size}.npz", Lamp(size, (Module("matrix", light.dim(torch.from_numpy(share.astype(np.float32)))),)))
-    return wall(str(folder / f"{size}.npz"), **camera)
+    return wall(str(folder / f"{size}.npz"), lamp["camera"])
 
 
 def flux(light: Headlight) -> Array:
@@ -118,12 +103,16 @@ def figures(of: Rig, found: ModuleMeasurement) -> dict[str, float]:
     }
 
 
-if __name__ == "__main__":
-    size, *chosen = sys.argv[1:] or ["small"]
+def measure(given: Namespace) -> dict[str, Any]:
+    rows = {}
     with TemporaryDirectory() as folder:
-        scenario = uneven_wall(size, Path(folder))
-        rows = {}
-        for name in chosen or CASES:
-            of = rig(scenario, **CASES[name], fine=4 if size == "small" else 2)
+        scenario = uneven_wall(given, given.lamp, Path(folder))
+        for name in given.only:
+            of = rig(scenario, **given.cases[name], fine=given.lamps[given.lamp]["fine"])
             rows[name] = figures(of, digitise(of))
-    show(f"Lamp {size}", rows)
+    show(f"Lamp {given.lamp}", rows)
+    return {"cases": rows}
+
+
+if __name__ == "__main__":
+    run(measure, __doc__, "lamp", "only")

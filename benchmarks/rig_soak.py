@@ -14,7 +14,7 @@ import time
 import urllib.request
 import zlib
 from argparse import Namespace
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,25 +22,23 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import pandas as pd
+import psutil
 from bench import Goal, run, show
 from torch import Tensor
 
+from luxloop import Exposure, load
 from luxloop.loop.commands.rig_runs import pixel_grids
 from luxloop.loop.rig.params import RigParams
 from luxloop.loop.rig.plant import RigEvaluator, RigPlant
 from luxloop.loop.rig.rig import Rig, await_camera, open_rig
 from luxloop.loop.run import run as run_scenario
-from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.build import from_zero
 from luxloop.loop.simulation.lamps import lamp_modules
-from luxloop.loop.simulation.protocol import Exposure
 from luxloop.world.validation import validate_model
 
 ROOT = Path(__file__).parents[1]
-KEYS = ("camera.width_px=640", "camera.height_px=360", "camera.oversampling=2", "renderer=raycast")
-FAULTS = ("faults.camera.latency_s=0.02", "faults.camera.jitter_s=0.005", "faults.flicker.depth=0.1")
 LIGHT, CAMERA, TRUTH = 4148, 8180, 8181  # ports
-TIMING = {"latency_s": 0.065, "jitter_s": 0.025, "rolling_s": 0.04}
 MINUTE_S = 60.0
 WARM_MINUTES = 3  # until caches are full and the symbol has settled
 DARK_S = 0.2  # after the watchdog's time by which the lamp is dark
@@ -51,10 +49,10 @@ class Enough(KeyboardInterrupt):
 
 
 @contextmanager
-def rig_process() -> Iterator[int]:
+def rig_process(keys: Sequence[str]) -> Iterator[int]:
     """Its process number; it is ready to be used."""
     ports = ("--light-port", str(LIGHT), "--camera-port", str(CAMERA), "--truth-port", str(TRUTH))
-    command = [sys.executable, "-m", "luxloop.loop.commands.cli", "rig", "simulate", "snowflake", "--set", *KEYS, *FAULTS, *ports]
+    command = [sys.executable, "-m", "luxloop.loop.commands.cli", "rig", "simulate", "snowflake", "--set", *keys, *ports]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}) as process:
         try:
             while "End it" not in (line := process.stdout.readline()):
@@ -65,25 +63,11 @@ def rig_process() -> Iterator[int]:
             process.kill()
 
 
-def memory_mb(process: int) -> float:
-    """Resident memory."""
-    line = next(line for line in Path(f"/proc/{process}/status").read_text().splitlines() if line.startswith("VmRSS"))
-    return int(line.split()[1]) / 1024
-
-
-class _Used(ctypes.Structure):
-    """`struct mallinfo2` of glibc."""
-
-    _fields_ = [
-        (name, ctypes.c_size_t)
-        for name in ("arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "fordblks", "keepcost")
-    ]
-
-
 def used_mb() -> float:
-    """Memory of this process that is in use: without what the allocator keeps free."""
+    """Memory of this process that is in use, by glibc's `mallinfo2`: without what the allocator keeps free."""
+    names = ("arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "fordblks", "keepcost")
     mallinfo = ctypes.CDLL(None).mallinfo2
-    mallinfo.restype = _Used
+    mallinfo.restype = type("mallinfo2", (ctypes.Structure,), {"_fields_": [(name, ctypes.c_size_t) for name in names]})
     found = mallinfo()
     return float(found.uordblks + found.hblkhd) / 2**20
 
@@ -131,7 +115,8 @@ class Minutes:
     def _minute(self, lasted_s: float) -> dict[str, Any]:
         statistics, keeper = self.rig.statistics, self.rig.keeper
         lost, exposures, darkened = self.before
-        memory = {"loop_mb": memory_mb(os.getpid()), "used_mb": used_mb(), "rig_mb": memory_mb(self.process)}
+        loop_mb, rig_mb = (psutil.Process(each).memory_info().rss / 2**20 for each in (None, self.process))
+        memory = {"loop_mb": loop_mb, "used_mb": used_mb(), "rig_mb": rig_mb}
         hung_s, before = time.monotonic(), keeper.darkened
         time.sleep(self.rig.params.limits.loop_s + DARK_S)  # the loop hangs
         true = truth()
@@ -152,19 +137,19 @@ class Minutes:
         return row
 
 
-def soak(minutes: int) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+def soak(given: Namespace) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """A row a minute, and the rig's statistics of the whole."""
     light = {"kind": "ddp", "timecode": True, "host": "127.0.0.1", "port": LIGHT, "bits": 16}
     camera = {"kind": "http", "url": f"http://127.0.0.1:{CAMERA}/camera", "bits": 12}
-    params = validate_model(RigParams, {"light": light, "camera": camera, "timing": TIMING}, "")
-    scenario = load("snowflake", [*KEYS, "plant.kind=rig", "checks={}", "steps=100000"])
-    with rig_process() as process, TemporaryDirectory() as folder:
+    params = validate_model(RigParams, {"light": light, "camera": camera, "timing": given.timing}, "")
+    scenario = load("snowflake", [*given.keys, "plant.kind=rig", "checks={}", "steps=100000"])
+    with rig_process([*given.keys, *given.faults]) as process, TemporaryDirectory() as folder:
         grids = pixel_grids(scenario)
         with open_rig(params, grids, scenario.camera, armed=True) as rig:
             if not await_camera(rig, 20):
                 sys.exit("the rig's camera sends nothing")
 
-            watched, evaluators = Minutes(rig, process, minutes), []
+            watched, evaluators = Minutes(rig, process, given.minutes), []
 
             def plant(simulation: Any) -> Any:
                 modules = lamp_modules(simulation.modules)
@@ -185,14 +170,13 @@ def soak(minutes: int) -> tuple[list[dict[str, Any]], dict[str, Any]]:
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    rows, statistics = soak(1 if given.quick else given.minutes)
+    rows, statistics = soak(given)
     show("By minute", {str(number): row for number, row in enumerate(rows, 1)})
-    warm = rows[WARM_MINUTES:] or rows
+    warm = pd.DataFrame(rows[WARM_MINUTES:] or rows)
 
     def growth(key: str) -> float:
         """By a straight line, over the whole time."""
-        values = [row[key] for row in warm]
-        return float(np.polyfit(range(len(warm)), values, 1)[0] * (len(warm) - 1)) if len(warm) > 1 else 0.0
+        return float(np.polyfit(warm.index, warm[key], 1)[0] * (len(warm) - 1)) if len(warm) > 1 else 0.0
 
     goals = [
         Goal("memory that the loop uses grows by, MB", growth("used_mb"), 10.0),
@@ -206,4 +190,4 @@ def measure(given: Namespace) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    run(measure, __doc__, minutes={"type": int, "default": 30, "help": "how long (30)"})
+    run(measure, __doc__, "minutes")

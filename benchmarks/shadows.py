@@ -15,63 +15,40 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import torch
 from bench import Goal, run, show
 from float64_rays import hidden
+from pydantic import TypeAdapter
 from torch import Tensor
 
+from luxloop import Simulation, load, pose_from_degrees
 from luxloop.loop.scenario import data
-from luxloop.loop.scenario.model import load
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import World
-from luxloop.world.frames import View, pose, pose_from_degrees
+from luxloop.world.frames import View, pose
 from luxloop.world.light.illumination import illuminance, lit_surface
 from luxloop.world.rendering.raycast import TOLERANCE_M, depths, first_hits, sees
 from luxloop.world.rendering.surfaces import ExactSurfaces, face_source, surface_source
 from luxloop.world.roads.base import Road
 from luxloop.world.roads.scan import OpenCrgRoad
-from luxloop.world.roads.shapes import Bumps, Curb, Flat, Grade, Iso8608, Mixed, Pothole, SpeedBump, Step
+from luxloop.world.roads.shapes import RoadParams
 from luxloop.world.scene.body import Body
 from luxloop.world.scene.ground import RoadTiles, road_mesh
 from luxloop.world.scene.scene import Scene
 from luxloop.world.scene.triangles import Triangles
 
-SHAPES = {
-    "flat": Flat(),
-    "grade": Grade(),
-    "bumps": Bumps(),
-    "speed bump": SpeedBump(),
-    "curb": Curb(),
-    "step": Step(),
-    "pothole": Pothole(),
-    "mixed": Mixed(),
-    **{f"ISO 8608 {letter}": Iso8608(roughness_class=letter) for letter in "ABCDE"},
-}
-SCANS = {  # the parts in which something is to be seen, m
-    "belgian_block": (731.0, 739.0),
-    "Horstwalde": (95.0, 155.0),
-    "halfround_4in": (45.0, 55.0),
-    "detrended_rms_course_1in": (100.0, 404.0),
-    "Barber": (50.0, 3600.0),
-    "handmade_straight": (3.0, 20.0),
-    "handmade_straight_double": (3.0, 20.0),
-    "handmade_curved": (3.0, 20.0),
-    "handmade_curved_banked_sloped": (3.0, 20.0),
-}
-PLACES = 1  # along each scan, besides its middle
 DRIVEN_M = (0.0, 11.3, 23.9)  # where the car is that drives
 ABOVE_M, CELL_M = 300.0, 0.02
-QUICK = ("ISO 8608 E", "belgian_block at its middle")
 Place = tuple[Triangles, View, Tensor, bool]  # seen in this view; pose of the lamp; whether the world moves
 
 
-def roads() -> Iterator[tuple[str, str, Road]]:
+def roads(given: Namespace) -> Iterator[tuple[str, str, Road]]:
     """Name, name of its kind, and the road itself."""
+    for name, table in given.shapes.items():
+        yield name, name, TypeAdapter(RoadParams).validate_python(table)
     rng = np.random.default_rng(14)
-    for name, road in SHAPES.items():
-        yield name, name, road
-    for name, part in SCANS.items():
-        for u_m in [None, *np.round(rng.uniform(*part, PLACES), 2).tolist()]:
+    for name, part in given.scans.items():
+        for u_m in [None, *np.round(rng.uniform(*part, given.places), 2).tolist()]:
             yield f"{name} at {u_m or 'its middle'}", name, OpenCrgRoad(file=str(data.locate(name)), u_m=u_m)
 
 
@@ -134,24 +111,20 @@ def places(road: Road, world: World) -> Iterator[tuple[str, str, Place]]:
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    n, chosen = (1000, QUICK) if given.quick else (given.points, None)
     world = Simulation.prepare(load("snowflake", ("camera.width_px=640", "camera.height_px=480", "camera.oversampling=1"))).world
     found = [
-        {"road": name, "kind": kind, "way": way, "view": view, **shares(place, world, n)}
-        for name, kind, road in roads()
-        if chosen is None or name in chosen
+        {"road": name, "kind": kind, "way": way, "view": view, **shares(place, world, given.points)}
+        for name, kind, road in roads(given)
         for way, view, place in places(road, world)
     ]
-    rows = {}
-    for kind, way in dict.fromkeys((each["kind"], each["way"]) for each in found):
-        own = [each for each in found if (each["kind"], each["way"]) == (kind, way)]
-        means = {key: float(100 * np.mean([each[key] for each in own])) for key in ("in shadow", "outlines")}
-        rows.setdefault(kind, {})[way] = means | {key: 100 * max(each[key] for each in own) for key in ("leaked", "lost", "wrong")}
+    by = pd.DataFrame(found).groupby(["kind", "way"], sort=False)
+    percent = 100 * by.agg({"in shadow": "mean", "outlines": "mean", "leaked": "max", "lost": "max", "wrong": "max"})
+    rows = {kind: {way: percent.loc[kind, way].to_dict() for way in percent.loc[kind].index} for kind in percent.index.unique("kind")}
     show("Standing and moving worlds, %; means of what is in shadow and of outlines, the worst of the others", rows)
     limits = (("standing", "leaked", 0.1), ("standing", "wrong", 0.5), ("moving", "leaked", 1.0))
-    goals = [Goal(f"{key}, {way}, %", 100 * max(each[key] for each in found if each["way"] == way), limit) for way, key, limit in limits]
-    return {"results": found, "goals": goals}
+    worst = 100 * by[["leaked", "wrong"]].max().groupby("way").max()
+    return {"results": found, "goals": [Goal(f"{key}, {way}, %", float(worst.loc[way, key]), limit) for way, key, limit in limits]}
 
 
 if __name__ == "__main__":
-    run(measure, __doc__, points={"type": int, "default": 3000, "help": "points a view (3000)"})
+    run(measure, __doc__, "points")

@@ -1,7 +1,6 @@
 """All controllers of a symbol in one world: the job of benchmarks/symbol_control.py and places.py, and what lamp and camera allow there."""
 
 import json
-import math
 import sys
 from argparse import Namespace
 from collections.abc import Iterable, Mapping
@@ -9,24 +8,21 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import torch
 from bench import show, study
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn.functional import grid_sample, max_pool1d
+from torch.nn.functional import grid_sample
 
-from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.controllers.symbol import build_controller
+from luxloop import Scenario, Simulation, Utilisation, build_controller, prepare, validate
 from luxloop.controllers.symbol.sensing.projector import DrawingModule
 from luxloop.loop.recording.manifest import digests, table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.recording.summary import AXES, column, overshoot_percent, settle_step
-from luxloop.loop.run import prepare
 from luxloop.loop.scenario import data
-from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.columns import of_one
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.batch.copies import Lights
 from luxloop.perception.birdseye import rectify
 from luxloop.perception.metrics import THRESHOLD
@@ -35,7 +31,6 @@ from luxloop.world.scene.triangles import Triangles
 
 SMALL = "camera={width_px=640, height_px=480}"
 DARK = 100.0  # %: the centroid's error where nothing is lit
-COARSE = 4  # every fourth texel along both axes locates the symbol's light
 OUTSIDE = 9.0  # a place that is not on the symbol, which lies from -1 to 1
 
 
@@ -65,13 +60,10 @@ def compare_in(worlds: Iterable[World], given: Namespace) -> tuple[list[tuple[Wo
     return [(world, found[world.key]) for world in chosen if world.key in found], failures
 
 
-def table(title: str, rows: Iterable[Mapping[str, Any]], field: str = "kind", measure: str = "iou") -> None:
+def table(title: str, rows: pd.DataFrame, field: str = "kind", measure: str = "iou") -> None:
     """Print a row for each value of the field and a column a controller: the mean of a measure, its least in brackets."""
-    lines = {}
-    for each in rows:
-        lines.setdefault(str(each[field]), {}).setdefault(each["controller"], []).append(each[measure])
-    cells = {name: {key: f"{np.mean(each):.2f} ({min(each):.2f})" for key, each in line.items()} for name, line in lines.items()}
-    show(title, cells)
+    cells = rows.groupby([field, "controller"], sort=False)[measure].agg(lambda each: f"{each.mean():.2f} ({each.min():.2f})")
+    show(title, cells.unstack(sort=False).to_dict("index"))
 
 
 def road_of(scenario: Scenario) -> dict[str, Any]:
@@ -88,7 +80,9 @@ def compare(scenario: Mapping[str, Any], controllers: Mapping[str, Mapping[str, 
     found = bound(simulation)[1] if bounded else {}
     found["metrics"] = {}
     for name, steps in side_by_side(simulation, own).items():
-        metrics = {axis: [finite(value) for value in column(steps, axis)] for axis in (*AXES, "iou")}
+        metrics = {
+            axis: [round(float(value), 4) if np.isfinite(value) else None for value in column(steps, axis)] for axis in (*AXES, "iou")
+        }
         lost = [loss != "" for loss in steps["loss"].to_pylist()]
         found["metrics"][name] = {"settle_step": settle_step(steps), "overshoot_percent": overshoot_percent(steps), "lost": lost, **metrics}
     return found
@@ -117,14 +111,9 @@ def side_by_side(simulation: Simulation, own: Mapping[str, Scenario]) -> dict[st
     return {name: of_one(table_of(each, columns), "symbol") for name, each in rows.items()}
 
 
-def finite(value: float) -> float | None:
-    """To four digits, as JSON can hold it."""
-    return round(float(value), 4) if math.isfinite(value) else None
-
-
 def series(metrics: Mapping[str, Any], name: str, missing: float) -> NDArray[np.float64]:
     """Values of all steps, `[steps]`."""
-    return np.array([missing if value is None else value for value in metrics[name]])
+    return pd.Series(metrics[name], dtype=float).fillna(missing).to_numpy()
 
 
 def bound(simulation: Simulation) -> tuple[Lights, dict[str, float]]:
@@ -146,24 +135,13 @@ def bound(simulation: Simulation) -> tuple[Lights, dict[str, float]]:
 
 def _draw(simulation: Simulation, triangles: Triangles, module: DrawingModule) -> Utilisation:
     headlight = module.pixel_controller.headlight
-    rows, cols = headlight.rows, headlight.cols
-    coarse, fine = (headlight.view(module.T_body_headlight, cols // n, rows // n) for n in (COARSE, 1))
-    inside = (_on_symbol(simulation, triangles, coarse.origin, coarse.rays().flatten(1)).abs() <= 1).all(-1)
-    near_row, near_col = (_spread(inside.view(coarse.height, coarse.width).any(axis), n) for axis, n in ((1, rows), (0, cols)))
-    near = near_row[:, None] & near_col
-    where = _on_symbol(simulation, triangles, fine.origin, fine.rays()[:, near])
-    symbol = torch.zeros(rows, cols, dtype=torch.float64)
-    symbol[near] = grid_sample(simulation.symbol.projector.symbol.double()[None, None], where[None, None], align_corners=False)[0, 0, 0]
+    view = headlight.view(module.T_body_headlight, headlight.cols, headlight.rows)
+    where = _on_symbol(simulation, triangles, view.origin, view.rays().flatten(1))
+    symbol = grid_sample(simulation.symbol.projector.symbol.double()[None, None], where[None, None], align_corners=False).flatten().numpy()
     matrix = headlight.matrix.to_scipy()
-    share = (matrix.T @ symbol.flatten().numpy()) / (matrix.T @ np.ones(rows * cols)).clip(1e-12)
+    share = (matrix.T @ symbol) / (matrix.T @ np.ones_like(symbol)).clip(1e-12)
     value = simulation.scenario.symbol.value / len(simulation.symbol.projector.modules)
     return Utilisation(torch.from_numpy(value * share).float())  # without a band, outside of which light would be hidden
-
-
-def _spread(coarse: Tensor, n: int) -> Tensor:
-    """Which of n texels `[n]` lie in or beside the marked ones of fewer and larger `[m]`."""
-    beside = max_pool1d(coarse[None].float(), 3, 1, 1)[0] > 0
-    return beside[torch.arange(n) * len(coarse) // n]
 
 
 def _on_symbol(simulation: Simulation, triangles: Triangles, origin: Tensor, rays: Tensor) -> Tensor:

@@ -7,6 +7,7 @@ with synchronisation. Prints the tables of docs/results/spmv.md.
 
 import sys
 from argparse import Namespace
+from collections.abc import Collection, Sequence
 from functools import partial
 from typing import Any
 
@@ -18,15 +19,9 @@ from sparse.incremental import Bands, ChangedPixels
 
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps import presets
-from luxloop.world.spmv import Csr, zeros
+from luxloop.world.spmv import Csr, multiply, zeros
 
-ROUNDS, COPY_MB = 15, 256
-SIZES = ((45, 90), (125, 250), (390, 780), (670, 1340), (870, 1740))  # rows x columns of pixels
-THESIS_US = {"A.1": (429.7, 432.9, 480.3, 454.9, 454.9), "A.2": (98.7, 135.1, 397.8, 845.9, 1646.3)}  # medians, Nvidia 2080 Ti
-FIXED_SIDE = 2048
-LONG_ROWS, ENTRIES = ((64, 256, 512, 1024), (195, 390, 1024, 1024)), 24  # pixels and texels of the lamps with 24 entries a row
-PRESETS = ("hd84", "ssl-hd-lores", "idealised-332x1024", "dmd-1m3")
-FIGURE_TEXELS, FIGURE_PIXELS = (128, 256, 512, 1024), (32, 64, 128, 256, 512, 1024, 2048)  # rows of a texture of 4:1, columns of pixels
+ENTRIES = 24  # a row of lamps with long ones
 CHANGE, DIRTY = 0.1, 0.05  # share of the pixels, in fig. 6.1 and at one lamp
 FLOAT_TOLERANCE = 1e-4  # float32 sums of up to 50 products in another order
 
@@ -59,35 +54,34 @@ def best(forms: dict[str, SparseFormat], ms: dict[str, float], copy_bytes: int) 
     return {"fastest": name, "ms": ms[name], "of copy": moved / ms[name] / (copy_bytes / ms["copy"])}
 
 
-def compare(lamp: Headlight, quick: bool, names: list[str] | None = None, thesis_us: float | None = None) -> dict[str, Any]:
-    """Every format beside SciPy, and the fastest that can pay; each product is checked."""
+def compare(given: Namespace, lamp: Headlight, names: Sequence[str] = (), thesis_us: float | None = None) -> dict[str, Any]:
+    """Formats beside SciPy, by default all that can pay, and the fastest; each product is checked."""
     csr, matrix = lamp.matrix.streamable(), lamp.matrix.to_scipy()
     u = utilisation(csr.n_cols)
     expected = torch.from_numpy(matrix @ u.numpy())
-    copy, copy_bytes = copy_step(16 if quick else COPY_MB)
+    copy, copy_bytes = copy_step(given.copy_mb)
     steps = {"copy": copy, "SciPy": lambda: matrix @ u.numpy()}
-    can_pay = names or candidates(csr)
-    forms = {name: FORMATS[name](csr) for name in names or [*can_pay, "coo", "lgc"]}
+    forms = {name: FORMATS[name](csr) for name in names or candidates(csr)}
     out = zeros((csr.n_rows,), u.dtype, u.device)  # of all formats: where it lies in memory shall not decide between them
     for name, form in forms.items():
         check(f"{name} at {lamp.name}", form.multiply(u, out.fill_(torch.nan)), expected)
         steps[name] = partial(form.refresh, u, out)
-    ms = interleaved(steps, 3 if quick else ROUNDS)
-    found = best({name: forms[name] for name in can_pay}, ms, copy_bytes)
+    ms = interleaved(steps, given.rounds)
+    found = best(forms, ms, copy_bytes)
     return {
         "texels": [lamp.rows, lamp.cols],
         "entries": len(csr.values) / len(lit_rows(csr)),
         **found,
         "to SciPy": found["ms"] / ms["SciPy"],
         "thesis, µs": thesis_us,
-        "gpu": gpu(lamp, u, expected, [name for name in forms if name != "scipy"]) if torch.cuda.is_available() else None,
+        "gpu": gpu(given, lamp, u, expected, forms.keys() - {"scipy"}) if torch.cuda.is_available() else None,
         "formats, ms": ms,
     }
 
 
-def gpu(lamp: Headlight, u: torch.Tensor, expected: torch.Tensor, names: list[str]) -> dict[str, Any]:
+def gpu(given: Namespace, lamp: Headlight, u: torch.Tensor, expected: torch.Tensor, names: Collection[str]) -> dict[str, Any]:
     """Captured products. A copy larger than the GPU's caches runs before each, so that all of the matrix comes from memory."""
-    copy, copy_bytes = copy_step(COPY_MB, "cuda")
+    copy, copy_bytes = copy_step(given.copy_mb, "cuda")
     there, steps = u.cuda(), {"copy": copy}
     forms = {name: build(lamp.matrix.to(torch.device("cuda")), name) for name in names}
     for name, form in forms.items():
@@ -97,27 +91,24 @@ def gpu(lamp: Headlight, u: torch.Tensor, expected: torch.Tensor, names: list[st
     return best(forms, on_gpu(steps, flush=copy), copy_bytes)
 
 
-def flatness(lamps: list[Headlight], name: str, rounds: int) -> dict[str, float]:
-    """Median ms of all lamps in turn in one format: whether time depends on the number of pixels."""
-    steps = {}
-    for lamp in lamps:
-        form, u = build(lamp.matrix, name), utilisation(lamp.n_pixels)
-        steps[lamp.name] = partial(form.refresh, u, form.multiply(u))
-    return interleaved(steps, 3 * rounds)
+def refresh(lamp: Headlight, name: str) -> Step:
+    """Product of a lamp in a format, into the same memory."""
+    form, u = build(lamp.matrix, name), utilisation(lamp.n_pixels)
+    return partial(form.refresh, u, form.multiply(u))
 
 
 def updates(lamp: Headlight, share: float, rounds: int) -> dict[str, float]:
     """Median ms of a full product, a dirty band of pixel rows, a dirty patch of the same area, and flags for as many pixels."""
-    csr = lamp.matrix
-    form, bands, u = build(csr, "window"), Bands(csr), utilisation(csr.n_cols)
-    out, pixels = form.multiply(u), torch.arange(csr.n_cols)
+    csr, n = lamp.matrix, lamp.n_pixels
+    bands, u = Bands(csr), utilisation(n)
+    out = multiply(csr, u)
 
     def place(of_rows: float) -> slice:
         count = max(round(lamp.pixel_rows * of_rows), 1)
         first = (lamp.pixel_rows - count) // 2
         return slice(first * lamp.pixel_cols, (first + count) * lamp.pixel_cols)
 
-    def flags(changed: torch.Tensor) -> Step:
+    def flags(changed: slice | torch.Tensor) -> Step:
         """Updates by flags that change these pixels there and back."""
         other = u.clone()
         other[changed] = 1 - other[changed]
@@ -125,14 +116,13 @@ def updates(lamp: Headlight, share: float, rounds: int) -> dict[str, float]:
         return lambda: (both.reverse(), changes.refresh(both[0]))
 
     band, square = place(share), place(share**0.5)
-    scattered = torch.randperm(csr.n_cols, generator=torch.Generator().manual_seed(2))[: int(share * csr.n_cols)]
     steps = {
-        "full": partial(form.refresh, u, out),
+        "full": refresh(lamp, "window"),
         "band": partial(bands.refresh, u, out, bands.rows_of(band)),
         "square": partial(bands.refresh, u, out, bands.rows_of(square)),
         "band, rows looked up": lambda: bands.refresh(u, out, bands.rows_of(band)),
-        "flags, band": flags(pixels[band]),
-        "flags, scattered": flags(scattered),
+        "flags, band": flags(band),
+        "flags, scattered": flags(torch.randperm(n, generator=torch.Generator().manual_seed(2))[: int(share * n)]),
     }
     return interleaved(steps, rounds)
 
@@ -144,43 +134,35 @@ def memory(csr: Csr) -> dict[str, Any]:
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    quick, rounds = given.quick, 3 if given.quick else ROUNDS
-    sizes = SIZES[:2] if quick else SIZES
-    tabled = [thesis_lamp(*size, 256 if quick else FIXED_SIDE) for size in sizes]
-    adaptive = [thesis_lamp(*size, adaptive_side(size[1])) for size in sizes]
-    long = [long_rows(*(n // 8 if quick else n for n in each), ENTRIES) for each in LONG_ROWS]
-    shipped = {name: presets.lamp(name).modules[0].headlight for name in (PRESETS[:1] if quick else PRESETS)}
-    products = {
-        **{f"{lamp.name}, A.1": compare(lamp, quick, None, us) for lamp, us in zip(tabled, THESIS_US["A.1"], strict=False)},
-        **{
-            f"{lamp.name}, A.2": compare(lamp, quick, ["csr", "window", "scipy"], us)
-            for lamp, us in zip(adaptive, THESIS_US["A.2"], strict=False)
-        },
-        **{f"{lamp.name}, long": compare(lamp, quick) for lamp in long},
-        **{name: compare(lamp, quick) for name, lamp in shipped.items()},
-    }
+    short, long = [thesis_lamp(*size, given.side) for size in given.sizes], [long_rows(*each, ENTRIES) for each in given.long]
+    shipped = {name: presets.lamp(name).modules[0].headlight for name in given.presets}
+    cases = {f"{lamp.name}, A.1": (lamp, (), us) for lamp, us in zip(short, given.thesis_us["A.1"], strict=False)}
+    for (rows, cols), us in zip(given.sizes, given.thesis_us["A.2"], strict=False):
+        cases[f"{rows} x {cols}, A.2"] = thesis_lamp(rows, cols, adaptive_side(cols)), ("csr", "window", "scipy"), us
+    cases |= {f"{lamp.name}, long": (lamp,) for lamp in long} | {name: (lamp,) for name, lamp in shipped.items()}
+    products = {name: compare(given, *case) for name, case in cases.items()}
     show("Products", products)
-    short = [products[f"{lamp.name}, A.1"] for lamp in tabled]
-    flat = flatness(tabled, short[-1]["fastest"], rounds)
-    changes = updates(tabled[-1], DIRTY, rounds)
-    show(f"{tabled[-1].name} pixels, {DIRTY:.0%} changed, ms", {"update": changes})
+    largest, tabled = short[-1], [products[f"{lamp.name}, A.1"] for lamp in short]
+    flat = interleaved({lamp.name: refresh(lamp, tabled[-1]["fastest"]) for lamp in short}, 3 * given.rounds)
+    changes = updates(largest, DIRTY, given.rounds)
+    show(f"{largest.name} pixels, {DIRTY:.0%} changed, ms", {"update": changes})
     figure = {
-        f"{4 * texels**2} texels, {n**2 // 4} pixels": updates(disjoint(n, texels), CHANGE, 3 if quick else 9)
-        for texels in FIGURE_TEXELS[: 2 if quick else None]
-        for n in FIGURE_PIXELS[: 3 if quick else None]
+        f"{4 * texels**2} texels, {n**2 // 4} pixels": updates(disjoint(n, texels), CHANGE, min(given.rounds, 9))
+        for texels in given.figure_texels
+        for n in given.figure_pixels
         if n <= 4 * texels
     }
     ratios = {name: {way: ms[way] / ms["full"] for way in ("band", "flags, scattered")} for name, ms in figure.items()}
     show("T fig. 6.1: a tenth of the pixels changed, times a full update", ratios)
-    csr = tabled[-1].matrix
-    parts = {"square texture": csr, "its lit rows": csr.band(*lit_window(csr)), **{name: each.matrix for name, each in shipped.items()}}
-    sizes_mb = {name: memory(each) for name, each in parts.items()}
+    square = largest.matrix
+    parts = {"square texture": square, "its lit rows": square.band(*lit_window(square))}
+    sizes_mb = {name: memory(each) for name, each in (parts | {name: each.matrix for name, each in shipped.items()}).items()}
     show("MB", sizes_mb)
-    on_device = short[-1]["gpu"]
+    on_device = tabled[-1]["gpu"]
     goals = [
-        Goal("short rows, times SciPy's CSR (worst of table A.1)", max(each["to SciPy"] for each in short), 1.0),
+        Goal("short rows, times SciPy's CSR (worst of table A.1)", max(each["to SciPy"] for each in tabled), 1.0),
         Goal(f"{ENTRIES} entries a row, times SciPy's CSR", products[f"{long[0].name}, long"]["to SciPy"], 0.6),
-        Goal("share of the copy bandwidth (worst of table A.1)", min(each["of copy"] for each in short), 0.45, True),
+        Goal("share of the copy bandwidth (worst of table A.1)", min(each["of copy"] for each in tabled), 0.45, True),
         Goal("longest over shortest time over the pixel numbers of table A.1", max(flat.values()) / min(flat.values()), 1.2),
         Goal(f"dirty band of {DIRTY:.0%}, times a full update", changes["band"] / changes["full"], 0.25),
         Goal("µs on a GPU, largest lamp of table A.1", on_device and 1e3 * on_device["ms"], 60.0),

@@ -17,28 +17,11 @@ from bench import Goal, interleaved, on_gpu, run, show
 from lamps import wide_lamp
 from torch import Tensor
 
-from luxloop.controllers.pixels.primitives import Primitives, concatenate, rectangle, road_symbol
-from luxloop.controllers.pixels.ssc import Ssc
-from luxloop.world.frames import pose_from_degrees
+from luxloop import Ssc, concatenate, pose_from_degrees, rectangle, road_symbol
+from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.world.headlight import Headlight
 from luxloop.world.spmv import row_of_entries
 
-ROUNDS = 11
-# Rows and columns of pixels and of rays, as in the thesis.
-SIZES = {
-    "84": (3, 28, 107, 428),
-    "1k": (22, 46, 255, 510),
-    "30k": (122, 246, 264, 531),
-    "100k": (223, 448, 430, 864),
-    "1.05M": (725, 1450, 1238, 2480),
-}
-QUICK_SIZES = {"1k": SIZES["1k"], "30k": SIZES["30k"]}
-# Medians of tables B.1, B.2, B.3 and B.4 of the thesis, Nvidia 2080 Ti, in µs.
-THESIS_US = {
-    "B.1": {"84": 257, "30k": 256, "100k": 344},
-    "B.2, B.3": {"84": 173, "30k": 189, "100k": 308},
-    "B.4": {"1k": 185, "30k": 175, "100k": 331, "1.05M": 1787},
-}
 T_WORLD_LAMP = pose_from_degrees((0.0, 0.6, 0.75))
 BOARDS = (4, 9)
 COVER = 0.925  # of a board's share of the field along each axis, for 77 % in all
@@ -122,11 +105,10 @@ def gpu_ms(light: Headlight, scene: Primitives) -> float | None:
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    rounds, sizes = (3, QUICK_SIZES) if given.quick else (ROUNDS, SIZES)
-    biggest = wide_lamp(*((125, 250, 214, 428) if given.quick else SIZES["1.05M"]))
-    ms = large(biggest, rounds)
+    biggest = wide_lamp(*given.large)
+    ms = large(biggest, given.rounds)
     show(f"{biggest.n_pixels:,} pixels, {biggest.n_texels:,} rays, {len(biggest.matrix.values):,} entries", {"ms": ms})
-    many, lights = boards(), {name: wide_lamp(*size) for name, size in sizes.items()}
+    many, lights = boards(), {name: wide_lamp(*size) for name, size in given.sizes.items()}
     steps = {name: partial(Ssc.prepare(light).utilisation, many, T_WORLD_LAMP) for name, light in lights.items()}
     found = {
         name: {
@@ -134,17 +116,17 @@ def measure(given: Namespace) -> dict[str, Any]:
             "rays": lights[name].n_texels,
             "ms": each,
             "ns a ray": 1e6 * each / lights[name].n_texels,
-            "thesis, µs": {number: us[name] for number, us in THESIS_US.items() if name in us},
+            "thesis, µs": {number: us[name] for number, us in given.thesis_us.items() if name in us},
             "GPU, ms": gpu_ms(lights[name], many),
         }
-        for name, each in interleaved(steps, rounds).items()
+        for name, each in interleaved(steps, given.rounds).items()
     }
     show("36 primitives on 77 % of the field", found)
     goals = [
         Goal("symbol on 5 %, times one product", ms["symbol"] / ms["product"], 1.5),
         Goal("symbol on 5 %, times faster than plain torch", ms["plain"] / ms["symbol"], 15.0, True),
         Goal("36 primitives on 77 %, times one product", ms["many"] / ms["product"], 5.0),
-        Goal("cost a ray of 36 primitives, largest lamp to 1 k pixels", found[list(sizes)[-1]]["ns a ray"] / found["1k"]["ns a ray"], 1.2),
+        Goal("cost a ray of 36 primitives, largest lamp to 1 k pixels", found[list(found)[-1]]["ns a ray"] / found["1k"]["ns a ray"], 1.2),
         Goal("ms as a graph on a GPU, symbol on 5 %", gpu_ms(biggest, symbol()), 0.15),
     ]
     return {"large": ms, "sizes": found, "goals": goals}

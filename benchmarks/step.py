@@ -17,16 +17,14 @@ import torch
 from baseline_numpy import Baseline, Lap
 from bench import Goal, Laps, medians, run, show
 
-from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
-from luxloop.loop.scenario.model import load
+from luxloop import Observation, Simulation, load
+from luxloop.controllers.symbol.sensing.protocol import Projection
 from luxloop.loop.simulation.result import SimulationState
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import expose
 from luxloop.perception.noise import FrameNoise
 from luxloop.world.caches import PartialImage
 from luxloop.world.light.illumination import added_light
 
-SIZES, QUICK_SIZES = ((640, 480), (1280, 720)), ((320, 180),)  # px
 TAKES = 4
 RAW = ("functions.symbol.features.view='raw'", "functions.symbol.features.shape='quadrants'", "judge_every=0")
 DEFAULT = "functions.symbol.controller={name='luxloop'}"
@@ -108,11 +106,11 @@ def compare(repeats: int, *overrides: str) -> dict[str, dict[str, float]]:
 
 def measure(given: Namespace) -> dict[str, Any]:
     found = []
-    for width, height in QUICK_SIZES if given.quick else SIZES:
-        overrides = (f"camera.width_px={width}", f"camera.height_px={height}", *given.set)
+    for width, height in given.sizes_px:
+        overrides = (f"camera={{width_px={width}, height_px={height}}}", *given.set)
         if not (apart := difference_px(*overrides)) <= TOLERANCE_PX:
             sys.exit(f"not the same work: at {width} x {height} px the errors differ by {apart:.3g} px, more than {TOLERANCE_PX} px")
-        ms = compare(2 if given.quick else given.repeats, *overrides)
+        ms = compare(given.repeats, *overrides)
         ratios = {"ratio": ms["numpy"]["step"] / ms["run"]["step"], "default": ms["run, default controller"]["step"] / ms["run"]["step"]}
         rows = {part: {name: each.get(part) for name, each in ms.items()} for part in ms["luxloop"]}
         show(f"ms a step, {width} x {height} px; errors differ by {apart:.1g} px, ratio {ratios['ratio']:.3g}", rows)
@@ -125,6 +123,4 @@ def measure(given: Namespace) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    repeats = {"type": int, "default": 10, "help": "steps of the loop to take the median of (10)"}
-    keys = {"nargs": "*", "default": [], "metavar": "KEY=VALUE", "help": "change the scenario: camera.oversampling=1"}
-    run(measure, __doc__, repeats=repeats, set=keys)
+    run(measure, __doc__, "repeats", "set")

@@ -30,8 +30,6 @@ from luxloop.loop.studio.sources import Source
 from luxloop.loop.studio.stream import Stream
 
 SMALL = ("camera.width_px=640", "camera.height_px=360", "judge_every=0")
-STEPS, ROUNDS = {"snowflake": 240, "gfhb": 60, "driving": 80}, 5  # some four to eight seconds each
-QUICK_STEPS, QUICK_ROUNDS = {"snowflake": 4}, 1
 SETTLED_S = 1.0  # in which a client has got the meshes of a run that starts
 WATCHER = """
 import json, struct, sys, time
@@ -146,11 +144,10 @@ def first_picture_s(name: str) -> float:
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    steps, rounds = (QUICK_STEPS, QUICK_ROUNDS) if given.quick else (STEPS, ROUNDS)
     found = {}
-    for name, count in steps.items():  # the context of OpenGL belongs to one thread of a process
+    for name, count in given.steps.items():  # the context of OpenGL belongs to one thread of a process
         with multiprocessing.get_context("spawn").Pool(1) as pool:
-            found[name] = pool.apply(compare, (name, count, rounds))
+            found[name] = pool.apply(compare, (name, count, given.rounds))
     seconds = first_picture_s("snowflake")
     show("ms a step of the clock, and times those of an unwatched run", found)
     print(f"\nfirst picture of snowflake: {seconds:.1f} s")

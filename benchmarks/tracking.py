@@ -9,13 +9,15 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import torch
 from bench import run, show
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
+from luxloop import Detections
 from luxloop.perception.camera import CameraParams, camera_view
-from luxloop.perception.detection.detector import SAME, Detections, overlaps
+from luxloop.perception.detection.detector import SAME, overlaps
 from luxloop.perception.tracking import Tracker, TrackerParams
 from luxloop.world.traffic.tracked import Category
 
@@ -98,17 +100,8 @@ def follow(roads: list[Road], frames: int, seed: int) -> Identities:
     return found
 
 
-def straight(category: Category, x: float, y: float, vx: float = 0.0, vy: float = 0.0) -> Road:
+def straight(category: Category, x: float, y: float, vx: float, vy: float) -> Road:
     return lambda t: (category, x + vx * t, y + vy * t)
-
-
-SCENES = {
-    "two pedestrians cross": [straight("pedestrian", 15, 3, vy=-1.4), straight("pedestrian", 16, -3, vy=1.4)],
-    "two pedestrians cross 0.2 m apart": [straight("pedestrian", 15, 2, vy=-1.4), straight("pedestrian", 15.2, -2, vy=1.2)],
-    "a cyclist overtakes": [straight("pedestrian", 12, -2, vx=1.2), straight("cyclist", 8.5, -1.2, vx=5)],
-    "a car overtakes a cyclist": [straight("cyclist", 14, -1.0, vx=4), straight("car", 9, 0.5, vx=9)],
-    "ten frames behind a car": [straight("car", 14, 0), straight("pedestrian", 18, -4.0, vy=4.2)],
-}
 
 
 def crowd(people: int, seed: int) -> list[Road]:
@@ -124,16 +117,20 @@ def crowd(people: int, seed: int) -> list[Road]:
 
 def summary(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """A row of the table, of `Identities.counts`."""
-    seen, missed, switches = (sum(each[key] for each in runs) for key in ("seen", "missed", "switches"))
-    rate, mota = 60 * RATE_HZ * switches / seen, float(np.mean([each["mota"] for each in runs]))
+    counts = pd.DataFrame(runs)
+    seen, missed, switches = (int(counts[key].sum()) for key in ("seen", "missed", "switches"))
+    rate, mota = 60 * RATE_HZ * switches / seen, float(counts["mota"].mean())
     return {"runs": len(runs), "switches": switches, "switches a minute": rate, "frames with a track": 1 - missed / seen, "MOTA": mota}
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    seeds, frames = (1, 30) if given.quick else (given.seeds, 150)
-    found = {name: [follow(roads, min(frames, 110), seed) for seed in range(seeds)] for name, roads in SCENES.items()}
-    for people in (5, 10, 20):
-        runs = [follow(crowd(people, seed), frames, seed) for seed in range(-(-seeds // 2))]
+    seeds, frames = range(given.seeds), given.frames
+    found = {
+        name: [follow([straight(*each) for each in objects], min(frames, 110), seed) for seed in seeds]
+        for name, objects in given.scenes.items()
+    }
+    for people in given.crowds:
+        runs = [follow(crowd(people, seed), frames, seed) for seed in seeds[: -(-len(seeds) // 2)]]
         found[f"{people} pedestrians to and fro for {frames / RATE_HZ:g} s"] = runs
     rows = {name: summary([each.counts() for each in runs]) for name, runs in found.items()}
     show("Identities", rows)
@@ -141,4 +138,4 @@ def measure(given: Namespace) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    run(measure, __doc__, seeds={"type": int, "default": 20, "help": "runs of each made-up scene"})
+    run(measure, __doc__, "seeds")

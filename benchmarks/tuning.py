@@ -6,31 +6,23 @@ in the same folder was. Prints the tables of docs/tuning.md.
 
 from argparse import Namespace
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from bench import Goal, Laps, run, show, study_options
+from bench import Goal, Laps, run, show
 from optuna.trial import TrialState
 
-from luxloop.loop.run import prepare
-from luxloop.loop.scenario.model import Scenario, load
+from luxloop import Scenario, load, prepare
 from luxloop.loop.studies import objective, ranges
 from luxloop.loop.studies.batch.rollouts import rollouts
 from luxloop.loop.studies.jobs import Executor, local
 from luxloop.loop.studies.tune import Task, Tuning, run_all
 from luxloop.loop.studies.tune_report import do_tune
 
-SETTINGS = ("functions.symbol.controller.name=thesis_pid", "steps=30", "camera.width_px=640", "camera.height_px=360")
-SPANS = {
-    **{"position.kp": "0.2:1.6", "position.ki": "0.01:1:log", "position.kd": "0.001:0.8"},
-    **{"rotation.kp": "0.1:1.2", "rotation.ki": "0.005:0.5:log", "rotation.kd": "0.001:0.6"},
-    **{"x_rate_m": "1:6", "y_rate_m": "0.5:3"},
-}
-KEYS = tuple(f"functions.symbol.controller.{key}={span}" for key, span in SPANS.items())
-OBJECTIVE = "settling+residual"
 HELD_OUT = 1000  # seed of the first run that no tuning has seen
-BATCH, STEPS, REPEATS = 64, 12, 3
+BATCH, REPEATS = 64, 3
 
 
 def rollouts_of(tuned: Tuning, until: float = float("-inf")) -> int:
@@ -79,15 +71,15 @@ def rollout_ms(scenario: Scenario) -> tuple[float, float]:
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    names, trials, seeds = (("snowflake",), 40, 3) if given.quick else (("snowflake", "chevrons"), 60, 5)
-    execute, out = local(given.jobs), given.out / ("quick" if given.quick else "full")
-    scenarios = tuple(load(name, SETTINGS) for name in names)
-    task = Task(scenarios, tuple(ranges.parse(key, scenarios) for key in KEYS), objective.parse(OBJECTIVE))
+    execute, out, seeds = local(given.jobs or None), Path(given.out) / given.folder, given.seeds
+    scenarios = tuple(load(name, given.settings) for name in given.scenarios)
+    keys = tuple(ranges.parse(f"functions.symbol.controller.{key}={span}", scenarios) for key, span in given.spans.items())
+    task = Task(scenarios, keys, objective.parse("settling+residual"))
     ways = {
-        way: figures(do_tune(task, out / way, count, given.jobs, way == "gradient", names[0]), seeds, execute)
-        for way, count in {"trials": trials, "gradient": 4}.items()
+        way: figures(do_tune(task, out / way, count, given.jobs or None, way == "gradient", given.scenarios[0]), seeds, execute)
+        for way, count in given.trials.items()
     }
-    single_ms, batch_ms = rollout_ms(load("snowflake", [SETTINGS[0], f"steps={STEPS}"]))
+    single_ms, batch_ms = rollout_ms(load("snowflake", [given.settings[0], "steps=12"]))
     by_trials, gradient = ways.values()
     show(f"Cost over {seeds} other kinds of noise", ways)
     goals = [
@@ -97,8 +89,13 @@ def measure(given: Namespace) -> dict[str, Any]:
         Goal("rollouts by gradient, to those of all trials", gradient["rollouts"] / by_trials["rollouts"], 0.1),
         Goal(f"CPU time of a rollout alone, to that of one of {BATCH} at once", single_ms / batch_ms, 3.0, True),
     ]
-    return {"scenarios": names, "ways": ways, "ms a rollout": {"alone": single_ms, f"of {BATCH} at once": batch_ms}, "goals": goals}
+    return {
+        "scenarios": given.scenarios,
+        "ways": ways,
+        "ms a rollout": {"alone": single_ms, f"of {BATCH} at once": batch_ms},
+        "goals": goals,
+    }
 
 
 if __name__ == "__main__":
-    run(measure, __doc__, **study_options("tuning"))
+    run(measure, __doc__, "out", "jobs")

@@ -7,15 +7,11 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from luxloop.world.errors import LuxloopError, did_you_mean
 from luxloop.world.spmv import Csr, row_of_entries, streamable, zeros
 
 INDEX_BYTES = 4
 ROWS_AT_ONCE = 2**16  # SciPy makes a fresh result at each product: so large that it stays in the cache
 LARGEST = 3  # times the bytes of CSR: what a format may store to be considered
-LONG_ROWS = 6  # entries a lit row from which tiles can pay
-TILED = 0.9  # times the bytes of CSR: largest size at which tiles pay, which save bytes only and take long to build
-PART_ROWS = 2**15  # on either side of the middle: tiles are counted on this part, since planning all of them takes long
 
 
 class Storage(NamedTuple):
@@ -57,30 +53,16 @@ class SparseFormat(ABC):
 
     @abstractmethod
     def _write(self, x: Tensor, out: Tensor) -> None:
-        """`out = A x` for `[n_cols]` and `[n_rows]`, both contiguous; rows without entries may be left as they are."""
+        """`out = A x`; rows without entries may be left as they are."""
 
     def multiply(self, x: Tensor, out: Tensor | None = None) -> Tensor:
-        """`A x` for x `[..., n_cols]` as `[..., n_rows]`, into `out` where given; every row is written. Raises ValueError as `refresh`."""
-        return self.refresh(x, zeros((*x.shape[:-1], self.n_rows), x.dtype, x.device) if out is None else out.zero_())
+        """`A x` for x `[n_cols]` as `[n_rows]`, into `out` where given; every row is written."""
+        return self.refresh(x, zeros((self.n_rows,), x.dtype, x.device) if out is None else out.zero_())
 
     def refresh(self, x: Tensor, out: Tensor) -> Tensor:
-        """As `multiply`, for an `out` that came from it: rows that no pixel reaches stay zero and need not be written again.
-
-        Raises: ValueError where a shape, dtype or device does not fit, or x wants a gradient.
-        """
-        kinds = {(each.dtype, each.device) for each in (self.values, x, out)}
-        if x.shape[-1] != self.n_cols or out.shape != (*x.shape[:-1], self.n_rows) or not out.is_contiguous() or len(kinds) > 1:
-            raise ValueError(
-                f"{self.n_rows} x {self.n_cols} {self.values.dtype} on {self.values.device} cannot multiply {tuple(x.shape)} {x.dtype} "
-                f"on {x.device} into {tuple(out.shape)} {out.dtype} on {out.device}"
-            )
-        if x.requires_grad and torch.is_grad_enabled():
-            raise ValueError("sparse formats have no gradient: use world.spmv.multiply(csr, x)")
-        if not self.storage.values:
-            return out.zero_()
-        # Products of single vectors are faster than one with a matrix of few columns.
-        for vector, result in zip(x.reshape(-1, self.n_cols).contiguous(), out.view(-1, self.n_rows), strict=True):
-            self._write(vector, result)
+        """As `multiply`, for an `out` that came from it: rows that no pixel reaches stay zero and need not be written again."""
+        if self.storage.values:
+            self._write(x, out)
         return out
 
     def _buffer(self, name: str, *shape: int) -> Tensor:
@@ -131,9 +113,9 @@ class Window(SparseFormat):
 
     def __init__(self, csr: Csr) -> None:
         super().__init__(csr)
-        self.start, self.stop = lit_window(csr)
-        self.written_rows = self.stop - self.start
-        band = csr.band(self.start, self.stop)
+        start, stop = lit_window(csr)
+        band = csr.band(start, stop)
+        self.rows, self.written_rows = slice(start, stop), stop - start
         self.csr = Csr(streamable(band.indptr), band.indices, band.values, csr.n_cols)
 
     @classmethod
@@ -142,32 +124,29 @@ class Window(SparseFormat):
         return stop - start + 2
 
     def _write(self, x: Tensor, out: Tensor) -> None:
-        torch.mv(self.csr.torch_csr, x, out=out[self.start : self.stop])
+        torch.mv(self.csr.torch_csr, x, out=out[self.rows])
 
 
-class ScipyWindow(SparseFormat):
+class ScipyWindow(Window):
     """The same in parts by SciPy's loop, on the CPU only: with one or two entries a row it beats the library behind torch on many CPUs."""
 
     name = "scipy"
 
     def __init__(self, csr: Csr) -> None:
-        if csr.values.device.type != "cpu":
-            raise LuxloopError(f"format 'scipy' is for the CPU, this matrix is on {csr.values.device}: take 'window'")
         super().__init__(csr)
-        start, stop = lit_window(csr)
-        self.written_rows = stop - start
-        bounds = [(first, min(first + ROWS_AT_ONCE, stop)) for first in range(start, stop, ROWS_AT_ONCE)]
-        self.parts = [(slice(*each), csr.band(*each).to_scipy()) for each in bounds]
+        self.parts = [
+            self.csr.band(first, min(first + ROWS_AT_ONCE, self.csr.n_rows)).to_scipy() for first in range(0, self.csr.n_rows, ROWS_AT_ONCE)
+        ]
 
     @classmethod
     def row_indices(cls, csr: Csr) -> int:
-        start, stop = lit_window(csr)
-        return stop - start + -(-(stop - start) // ROWS_AT_ONCE) + 1
+        rows = super().row_indices(csr) - 2
+        return rows + -(-rows // ROWS_AT_ONCE) + 1
 
     def _write(self, x: Tensor, out: Tensor) -> None:
-        vector, result = x.numpy(), out.numpy()
-        for rows, matrix in self.parts:
-            result[rows] = matrix @ vector
+        vector, lit = x.numpy(), out[self.rows].split(ROWS_AT_ONCE)
+        for rows, matrix in zip(lit, self.parts, strict=True):
+            rows.numpy()[:] = matrix @ vector
 
 
 class Submatrix(SparseFormat):
@@ -190,16 +169,10 @@ class Submatrix(SparseFormat):
         out.index_copy_(0, self.rows, torch.mv(self.csr.torch_csr, x, out=self._buffer("lit", len(self.rows))))
 
 
-class Lgc(SparseFormat):
+class Lgc(Submatrix):
     """Texel, offset and number of pixels of every lit texel (T fig. 2.8), with one index a texel instead of two (T 6.2, eq. 6.2.1)."""
 
     name = "lgc"
-
-    def __init__(self, csr: Csr) -> None:
-        super().__init__(csr)
-        self.rows = lit_rows(csr)
-        self.written_rows = len(self.rows)
-        self.lengths = row_lengths(csr)[self.rows]
 
     @classmethod
     def row_indices(cls, csr: Csr) -> int:
@@ -207,7 +180,8 @@ class Lgc(SparseFormat):
 
     def _write(self, x: Tensor, out: Tensor) -> None:
         # Entries lie texel by texel, so that lengths say what the offsets would; unsafe only skips a check that waits for the device.
-        out.index_copy_(0, self.rows, torch.segment_reduce(self._products(x), "sum", lengths=self.lengths, unsafe=True))
+        lengths = self.csr.indptr.diff()
+        out.index_copy_(0, self.rows, torch.segment_reduce(self._products(x), "sum", lengths=lengths, unsafe=True))
 
 
 class Ell(SparseFormat):
@@ -371,27 +345,15 @@ def lit_window(csr: Csr) -> tuple[int, int]:
     return (int(lit[0]), int(lit[-1]) + 1) if len(lit) else (0, 0)
 
 
-ALL = (Coo, CsrRows, Window, ScipyWindow, Submatrix, Ell, Sell, Lgc, Tiles, Tiles64)
-FORMATS = {each.name: each for each in ALL}
+FORMATS = {each.name: each for each in (Coo, CsrRows, Window, ScipyWindow, Submatrix, Ell, Sell, Lgc, Tiles, Tiles64)}
 
 
 def build(csr: Csr, name: str) -> SparseFormat:
-    """A matrix in a format by name, in memory of its own on the CPU. Raises LuxloopError for a name that is none of FORMATS."""
-    if name not in FORMATS:
-        raise LuxloopError(f"there is no sparse format {name!r}; {did_you_mean(name, FORMATS)}")
+    """A matrix in a format of FORMATS, in memory of its own on the CPU."""
     return FORMATS[name](csr.streamable())
 
 
 def candidates(csr: Csr) -> list[str]:
     """Formats that can pay: those that do not store several times what CSR stores."""
-
-    def fit(part: Csr, names: tuple[str, ...], most: float) -> list[str]:
-        size = {name: FORMATS[name].count(part).bytes(csr.values.dtype) for name in ("csr", *names)}
-        return [name for name in names if size[name] <= most * size["csr"]]
-
-    names = [*(["scipy"] if csr.values.device.type == "cpu" else []), *fit(csr, ("csr", "window", "submatrix", "sell", "ell"), LARGEST)]
-    lit = lit_rows(csr)
-    if len(csr.values) >= LONG_ROWS * len(lit) > 0:
-        middle = int(lit[len(lit) // 2])
-        names += fit(csr.band(max(middle - PART_ROWS, 0), min(middle + PART_ROWS, csr.n_rows)), ("tiles", "tiles64"), TILED)
-    return names
+    size = {name: each.count(csr).bytes(csr.values.dtype) for name, each in FORMATS.items()}
+    return [name for name in size if size[name] <= LARGEST * size["csr"]]

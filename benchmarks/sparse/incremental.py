@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.world.spmv import Csr, segment_bounds, zeros
+from luxloop.world.spmv import Csr, multiply, row_of_entries, segment_bounds
 
 
 class Bands:
@@ -12,18 +12,11 @@ class Bands:
 
     def __init__(self, csr: Csr) -> None:
         self.csr = csr
-        self.indptr = csr.indptr.cpu()  # so that a step need not wait for the device
-        columns = csr.indices.cpu()
-        rows = torch.repeat_interleave(torch.arange(csr.n_rows), self.indptr.diff())
-        first, last = segment_bounds(columns, rows, csr.n_cols)
-        largest = torch.iinfo(torch.int32).max
-        self.first, self.last = first.clamp(max=largest).int().numpy(), last.int().numpy()
-        self._offsets = zeros((csr.n_rows + 1,), torch.int32, csr.indptr.device)
+        self.first, self.last = (each.numpy() for each in segment_bounds(csr.indices, row_of_entries(csr), csr.n_cols))
 
-    def rows_of(self, pixels: slice | np.ndarray) -> tuple[int, int]:
+    def rows_of(self, pixels: slice) -> tuple[int, int]:
         """First row that any of these pixels reaches and the one after the last; (0, 0) where they reach none."""
-        first, last = self.first[pixels], self.last[pixels]
-        start, stop = int(first.min(initial=self.csr.n_rows)), int(last.max(initial=-1)) + 1
+        start, stop = int(self.first[pixels].min(initial=self.csr.n_rows)), int(self.last[pixels].max(initial=-1)) + 1
         return (start, stop) if start < stop else (0, 0)
 
     def refresh(self, x: Tensor, out: Tensor, rows: tuple[int, int]) -> Tensor:
@@ -31,44 +24,23 @@ class Bands:
 
         Each renewed row is its whole product, so that nothing adds up from step to step.
         """
-        start, stop = rows
-        first, last = int(self.indptr[start]), int(self.indptr[stop])
-        csr = self.csr
-        offsets = torch.sub(csr.indptr[start : stop + 1], first, out=self._offsets[: stop - start + 1])
-        band = Csr(offsets, csr.indices[first:last], csr.values[first:last], csr.n_cols)
-        torch.mv(band.torch_csr, x, out=out[start:stop])
+        torch.mv(self.csr.band(*rows).torch_csr, x, out=out[slice(*rows)])
         return out
 
 
 class ChangedPixels:
-    """The thesis' flags: compare utilisations, flag every texel of a changed pixel, multiply the flagged rows (T A.4).
-
-    How many rows there are decides how much work there is, so that each step waits for the device.
-    """
+    """The thesis' flags: compare utilisations, flag every texel of a changed pixel, multiply the flagged rows (T A.4)."""
 
     def __init__(self, csr: Csr, x: Tensor) -> None:
-        self.csr, self.transpose = csr, csr.transpose
-        self.previous = x.clone()
-        self.out = torch.mv(csr.torch_csr, x)
-        self.flags = torch.zeros(csr.n_rows, dtype=torch.bool, device=x.device)
+        self.matrix, self.transpose = csr.to_scipy(), csr.to_scipy().T.tocsr()
+        self.previous, self.out = x.clone(), multiply(csr, x)
 
     def refresh(self, x: Tensor) -> Tensor:
         """`A x` as `[n_rows]`, the same tensor at each call."""
-        pixels = (x != self.previous).nonzero()[:, 0]
+        pixels = (x != self.previous).numpy().nonzero()[0]
         self.previous.copy_(x)
-        entries, _ = _entries(self.transpose, pixels)
-        rows = self.flags.zero_().index_fill_(0, self.transpose.indices[entries].long(), True).nonzero()[:, 0]
-        entries, lengths = _entries(self.csr, rows)
-        indptr = torch.nn.functional.pad(lengths.cumsum(0), (1, 0)).int()
-        flagged = Csr(indptr, self.csr.indices[entries], self.csr.values[entries], self.csr.n_cols)
-        self.out.index_copy_(0, rows, torch.mv(flagged.torch_csr, x))
+        flags = np.zeros(len(self.out), bool)
+        flags[self.transpose[pixels].indices] = True
+        rows = flags.nonzero()[0]
+        self.out.numpy()[rows] = self.matrix[rows] @ x.numpy()
         return self.out
-
-
-def _entries(csr: Csr, rows: Tensor) -> tuple[Tensor, Tensor]:
-    """Positions of the entries of these rows, and how many each row has."""
-    start = csr.indptr[rows].long()
-    lengths = csr.indptr[rows + 1] - start
-    shift = start - (lengths.cumsum(0) - lengths)
-    shifts = torch.repeat_interleave(shift, lengths)
-    return shifts + torch.arange(len(shifts), device=shifts.device), lengths

@@ -3,23 +3,26 @@
 from dataclasses import replace
 from pathlib import Path
 
+import bench
 import numpy as np
 import pytest
+import rig_calibration
 import scipy.sparse as sp
 from rig_bench import Rig, rig
-from rig_calibration import CASES, digitise, figures, uneven_wall
+from rig_calibration import digitise, figures, uneven_wall
 
 from luxloop.loop.rig.calibration.digitise import ModuleMeasurement
 from tests.refusal import refusal
 
+GIVEN = bench.cases(rig_calibration.measure)
 STUCK = 433
 
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rig]:
     """A lamp of 20 x 40 pixels; every seventh lies at the border, where blur takes light out of the field. One is stuck in "nothing"."""
-    scenario = uneven_wall("small", tmp_path_factory.mktemp("lamp"))
-    rigs = {name: rig(scenario, **CASES[name], fine=3) for name in ("nothing", "all four")}
+    scenario = uneven_wall(GIVEN, "small", tmp_path_factory.mktemp("lamp"))
+    rigs = {name: rig(scenario, **GIVEN.cases[name], fine=3) for name in ("nothing", "all four")}
     bench = rigs["nothing"].bench
     (seen,) = bench.transports
     switched = sp.diags_array(np.where(np.arange(seen.shape[1]) == STUCK, 0, 1).astype(np.float32))
@@ -68,6 +71,6 @@ def test_a_dark_lamp_and_a_saturated_camera_are_told(small: dict[str, Rig], gain
 @pytest.mark.slow
 def test_hd_lamp(tmp_path: Path) -> None:
     """The goals: places within 0.1 px, intensities within 2 % rms."""
-    of = rig(uneven_wall("hd", tmp_path))
+    of = rig(uneven_wall(GIVEN, "hd", tmp_path))
     px, one, *_ = figures(of, digitise(of)).values()
     assert px < 0.1 and one < 2.0

@@ -9,18 +9,22 @@ import bench
 import numpy as np
 import object_based
 import object_based_jobs as jobs
+import pandas as pd
 import places
 import pytest
 import side_by_side
 import symbol_control
 import torch
-from tracking import Identities
+import tracking
+from tracking import RATE_HZ, Identities, follow, seen, straight
 
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.studies.training import scenes
 
+CROSSINGS = {name: [straight(*each) for each in objects] for name, objects in bench.cases(tracking.measure).scenes.items()}
 TINY = ("camera={width_px=320, height_px=240}",)
+SYMBOLS, PLACES = (bench.cases(each.measure) for each in (symbol_control, places))
 
 
 def metrics(iou: list[float | None], settle_step: int | None = 3, centroid: float | None = 1.0, lost: int = 0) -> dict[str, Any]:
@@ -33,7 +37,8 @@ def of_symbol(part: str, own: dict[str, Any], undisturbed: dict[str, Any] | None
     """Luxloop's row beside an open loop of 0.5."""
     open_loop = metrics([0.5] * len(own["iou"]))
     reference = None if undisturbed is None else {"open": open_loop, "luxloop": undisturbed}
-    return symbol_control.measures({"part": part}, {"open": open_loop, "luxloop": own}, reference)[1]
+    world = side_by_side.World("", {"part": part}, load("flat"), {})
+    return symbol_control.measures(world, {"open": open_loop, "luxloop": own}, reference)[1]
 
 
 STEPS_OF = [0.1] * 11 + [0.4] * 5 + [0.8] * 5
@@ -60,27 +65,26 @@ def test_recovered_is_when_the_undisturbed_run_is_reached_for_good(worse: list[i
 
 
 def test_goals_take_the_worst_mean_over_seeds_and_of_luxloop_alone() -> None:
-    keys = ("kind", "seed", "iou", "controller", "late")
-    runs = (("flat", 0, 1.0), ("flat", 1, 0.8), ("curb", 0, 0.95), ("curb", 1, 0.95))
-    rows = [dict(zip(keys, (*run, "luxloop", ", 2 late"), strict=True)) for run in runs]
-    rows.append(rows[0] | {"iou": 0.0, "controller": "open"})
-    arguments = ("IoU", "iou", 0.85, ("flat", "curb"), True)
-    assert symbol_control.goal(rows, *arguments)[1:] == (pytest.approx(0.9), 0.85, True, "flat, 2 late")
-    assert symbol_control.goal(rows, *arguments, symbol_control.RUN)[1:] == (0.8, 0.85, True, "flat, 2 late, seed 1")
-    assert symbol_control.goal([], *arguments).value is None
+    runs = pd.DataFrame(
+        [("grade", 0.6, "luxloop"), ("mixed", 1.0, "luxloop"), ("mixed", 0.8, "luxloop"), ("mixed", 0.0, "open")],
+        columns=["kind", "iou", "controller"],
+    ).assign(part="standing", late=", 2 late", world="mixed, 2 late, seed 1", settle=3, overshoot=0.0, centroid=0.0, gap=0.0)
+    found = {goal.what: goal for goal in symbol_control.goals(SYMBOLS, runs)}
+    assert found["IoU on bumps, grade + cross-fall and mixed"][1:] == (pytest.approx(0.9), 0.95, True, "mixed, 2 late")
+    assert found["Nowhere, at no step, below the open loop: standing"].where == "mixed, 2 late, seed 1"
+    assert found["IoU on the flat road"].value is None
 
 
 def place(road: str = "flat", *changes: str, steps: int = 40) -> side_by_side.World:
-    return places.world("grade", "here", load("flat", (*TINY, f"road={{kind='{road}'}}", *changes), steps=steps))
+    return places.world(PLACES, "grade", "here", load("flat", (*TINY, f"road={{kind='{road}'}}", *changes), steps=steps))
 
 
 def test_worlds_are_drawn_once_and_for_all() -> None:
-    worlds, few = (list(places.places(quick)) for quick in (False, True))
-    assert len(worlds) >= 200 - places.PLACES * len(places.SCANS) and {each.facts["kind"] for each in worlds} >= set(places.KINDS) - {
-        "scan"
-    }
-    assert len({each.key for each in worlds}) == len(worlds), "results are found by key"
+    worlds, few = (list(places.places(bench.cases(places.measure, quick=quick))) for quick in (False, True))
+    kinds = {each.facts["kind"] for each in worlds}
+    assert len(worlds) >= 200 - PLACES.places * len(PLACES.scans) and kinds >= {"grade", "step", "roughness", "place", *PLACES.from_3_m}
     own = {each.key: each.parameters for each in worlds}
+    assert len(own) == len(worlds), "results are found by key"
     assert len(few) < len(worlds) / 5 and all(own[each.key] == each.parameters for each in few)
 
 
@@ -113,7 +117,7 @@ def test_measures_of_places_compare_with_the_same_world() -> None:
 
 GOOD = {"kind": "scan", "latency": 2, "visible": 1.0, "found": 5, "lost_later": 0, "controller": "luxloop", "iou": 0.9}
 GOOD |= {"iou_open": 0.3, "iou_feedforward": 0.9, "iou_bound": 0.9, "below_open": -0.6, "below_thesis": -0.2}
-FROM_3_M, ON_ROAD = {"kind": places.FROM_3_M, "visible": 0.3}, {"kind": places.ROAD_FROM_3_M}
+FROM_3_M, ON_ROAD = {"kind": "grade from 3 m", "visible": 0.3}, {"kind": "place, grade from 3 m"}
 
 
 @pytest.mark.parametrize(
@@ -133,30 +137,32 @@ FROM_3_M, ON_ROAD = {"kind": places.FROM_3_M, "visible": 0.3}, {"kind": places.R
     ],
 )
 def test_goals_of_places_hold_where_enough_can_be_seen(goal: int, kept: dict[str, Any], missed: dict[str, Any]) -> None:
-    rows = [GOOD | kept, GOOD | kept | missed]
-    assert places.goals(rows)[goal].where == "1 of 2"
+    rows = pd.DataFrame([GOOD | kept, GOOD | kept | missed])
+    assert places.goals(PLACES, rows)[goal].where == "1 of 2"
     if goal < 7:
-        assert places.goals([row | {"visible": 0.7} for row in rows])[goal].value is None
+        assert places.goals(PLACES, rows.assign(visible=0.7))[goal].value is None
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("study", [symbol_control, places])
 def test_a_second_run_does_nothing_again(study: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    standing = symbol_control.world("standing", "curb", load("curb", TINY, steps=13))
-    monkeypatch.setattr(symbol_control, "worlds", lambda seeds, quick: iter([standing]))
-    monkeypatch.setattr(places, "places", lambda quick: iter([place("step", "functions.symbol.x_m=13", steps=7)]))
+    standing = symbol_control.world(SYMBOLS, "standing", "curb", load("curb", TINY, steps=13))
+    monkeypatch.setattr(symbol_control, "worlds", lambda given: iter([standing]))
+    monkeypatch.setattr(places, "places", lambda given: iter([place("step", "functions.symbol.x_m=13", steps=7)]))
     arguments = ["--quick", "--jobs", "1", "--out", str(tmp_path), "--json", str(tmp_path / "rows.json")]
     monkeypatch.setattr(sys, "argv", ["study.py", *arguments])
-    program = {"threads": (), **bench.study_options("study"), "seeds": {"type": int}, "only": {"nargs": "+"}}
-    bench.run(study.measure, "", **program)
+    program = study.measure, "", "out", "jobs"
+    bench.run(*program, threads=())
     kept, rows = (tmp_path / "jobs.jsonl").read_bytes(), json.loads((tmp_path / "rows.json").read_text())["rows"]
-    assert [each["controller"] for each in rows] == list(study.CONTROLLERS) and rows[0].get("gap", rows[0].get("below_open")) == 0
+    assert [each["controller"] for each in rows] == bench.cases(study.measure).controllers and rows[0].get(
+        "gap", rows[0].get("below_open")
+    ) == 0
     monkeypatch.setattr(side_by_side, "prepare", None)  # a job done again would fail
-    bench.run(study.measure, "", **program)
+    bench.run(*program, threads=())
     assert (tmp_path / "jobs.jsonl").read_bytes() == kept
     monkeypatch.setattr(side_by_side, "digests", lambda scenario: {"road.file": "of another scan"})
     with pytest.raises(SystemExit, match="failed: "):
-        bench.run(study.measure, "", **program)
+        bench.run(*program, threads=())
 
 
 @pytest.mark.slow
@@ -199,11 +205,6 @@ def test_measures_of_light(own: dict[str, Any], full: dict[str, float], expected
     assert {name: found[name] for name in expected} == pytest.approx(expected)
 
 
-def test_flux_has_settled_when_it_stays_near_its_end() -> None:
-    flux = np.array([100.0] * 20 + [1.0] * 10 + [30.0] + [2.0] * 44)
-    assert [object_based.settle_step(flux, within) for within in (5.0, 50.0)] == [31, 20]
-
-
 LX = [0.1] * 3 + [4.0] + [9.0] * 26  # half of the light at the end is 4.5 lx
 NEVER = float("inf")
 
@@ -215,7 +216,9 @@ def test_a_newcomer_is_lit_once_it_is_known_and_gets_half_of_its_light(found: in
     assert object_based.newcomer_s(run) == pytest.approx(expected)
 
 
-def test_searches_and_zones_count_until_they_stay() -> None:
+def test_flux_searches_and_zones_count_until_they_stay() -> None:
+    flux = np.array([100.0] * 20 + [1.0] * 10 + [30.0] + [2.0] * 44)
+    assert [object_based.settle_step(flux, within) for within in (5.0, 50.0)] == [31, 20]
     assert object_based.searches_s({"searches": [[2, 32], [3, None], [40, 50]]}) == [1.0, float("inf")]
     row = object_based.zone_row({"saturation_e": 8000.0, "luminance": [[0.1, 0.9, 0.5, 0.87, 0.9, 0.91]]})
     assert row["steps"] == [3] and row["error"] == pytest.approx(0.01 / 0.9)
@@ -227,6 +230,15 @@ def test_switches_misses_and_ghosts_are_counted() -> None:
     for boxes, numbers in ((one, [1]), (other, [1]), (one, [2]), (torch.cat([one, other]), [2, 3])):
         found.look("a", one, [True], boxes, numbers)
     assert found.counts() == {"seen": 4, "missed": 1, "false": 2, "switches": 1, "several": 1, "mota": pytest.approx(0.0)}
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", CROSSINGS)
+def test_nobody_changes_identity(name: str, seed: int) -> None:
+    counts = follow(CROSSINGS[name], 80, seed).counts()
+    assert counts["switches"] == counts["several"] == 0 < counts["seen"]
+    hidden = sum(seen([road(k / RATE_HZ) for road in CROSSINGS["ten frames behind a car"]])[1][1] for k in range(55))
+    assert hidden >= 10
 
 
 def test_scenes_are_others_than_those_of_training_and_newcomers_have_room() -> None:
@@ -241,14 +253,15 @@ def test_the_jobs_run_through_the_whole_chain(monkeypatch: pytest.MonkeyPatch) -
     """On a few steps each, which decide nothing, over both base beams."""
     for name, value in {"STEPS": 4, "COMES": 2, "END": range(1, 2), "LATE": range(3, 4)}.items():
         monkeypatch.setattr(jobs, name, value)
-    ((_, given),) = jobs.scene_jobs(1, 1).items()
+    few = bench.cases(object_based.measure, quick=True, scenes=1, frames=2)
+    ((_, given),) = jobs.scene_jobs(few).items()
     variants = {name: given["variants"][name] for name in (jobs.OURS, "over the low beam")}
     found = jobs.illuminate(given["scenario"], variants, dict.fromkeys(variants, 1))
     ((own,), (low,)) = (found["runs"][name] for name in variants)
     assert low["flux_lm"][0] > 2 * own["flux_lm"][0] and len(low["flux_lm"]) == 2, "an undimmed low beam, up to the newcomer"
     assert len(own["flux_lm"]) == 4 and len(own["newcomer_lx"]) == 2
     assert 0 < own["flux_lm"][-1] < found["flux_lm"]["high beam"] < found["flux_lm"][jobs.FULL]
-    tracks = jobs.track_jobs(seeds=1, times=1, steps=2)
+    tracks = jobs.track_jobs(few)
     assert len(tracks) == 4 and all(jobs.lit(each["scenario"]) for each in tracks.values())
     (run,) = jobs.track(**tracks["two pedestrians cross 0"])["runs"]
     assert run["seen"] == 4

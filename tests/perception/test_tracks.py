@@ -1,16 +1,21 @@
-"""Tracks keep their identity: through crossings, overtaking, occlusion, noise and misses; the filters do what their equations say."""
+"""Tracks keep their identity through occlusion, misses and borders of the image; the filters do what their equations say."""
 
 import math
 import pickle
 
 import pytest
 import torch
-from tracking import CLASSES, RATE_HZ, SCENES, SIZES, TRACKER, VIEW, follow, seen
 
 from luxloop.perception.boxes import WIDTHS_M
+from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.detection.detector import Detections
 from luxloop.perception.tracking import EACH, LINGER_S, Tracker, TrackerParams, Tracks
 
+CLASSES = ("pedestrian", "cyclist", "car", "animal")
+RATE_HZ = 30.0
+VIEW = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5))
+TRACKER = Tracker(CLASSES, VIEW, TrackerParams())
+SIZES = {"pedestrian": (0.6, 1.75), "car": (1.8, 1.5)}  # m
 Box = tuple[float, float, float, float]
 BOX = (300.0, 126.0, 340.0, 226.0)  # of a pedestrian of 1.75 m
 NOTHING = Detections(torch.zeros(0, 4), torch.zeros(0, len(CLASSES)))
@@ -44,15 +49,6 @@ def tracked(frames: list[Detections], tracker: Tracker = TRACKER, rate_hz: float
     for k, each in enumerate(frames):
         tracks = tracker.step(tracks, each, k / rate_hz)
     return tracks
-
-
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", SCENES)
-def test_nobody_changes_identity(name: str, seed: int) -> None:
-    counts = follow(SCENES[name], 80, seed).counts()
-    assert counts["switches"] == counts["several"] == 0 < counts["seen"]
-    hidden = sum(seen([road(k / RATE_HZ) for road in SCENES["ten frames behind a car"]])[1][1] for k in range(55))
-    assert hidden >= 10
 
 
 def test_a_new_object_is_reported_after_the_frames_that_confirm_it() -> None:
@@ -148,11 +144,7 @@ def test_weak_detections_neither_move_nor_take_nor_start_a_track() -> None:
 
 
 def test_a_size_follows_what_is_seen_and_stays_as_its_object_comes_nearer() -> None:
-    frames = []
-    for k in range(45):
-        box, _ = seen([("pedestrian", 30 - k / 3, 1.0)])
-        frames.append(Detections(box, torch.tensor([PEDESTRIAN])))
-    tracks = tracked(frames)
+    tracks = tracked([detections(plate(30 - k / 3, 1.0, *SIZES["pedestrian"])) for k in range(45)])
     assert tracks.number.tolist() == [1]
     # A plate of 1.75 m; rows of a camera that looks down by 1.5 deg are 0.1 % farther apart
     assert tracks.size_m[0].tolist() == pytest.approx(SIZES["pedestrian"], rel=0.02)
@@ -237,12 +229,6 @@ def test_whoever_leaves_the_image_keeps_its_number_where_frames_miss_it(side: in
     assert missed > 0 and tracked(frames).following == 2
 
 
-def test_a_car_around_a_car_that_is_seen_whole_is_none() -> None:
-    far, near = (detections(plate(*each), scores=[CAR]) for each in ((40.0, 2.0, *SIZES["car"]), (20.0, 1.0, 3.0, 2.1)))
-    both = Detections(torch.cat([far.boxes, near.boxes]), torch.cat([far.scores, near.scores]))
-    assert [len(tracked([far] * 5 + [then] * 5).present) for then in (both, near)] == [1, 2]
-
-
 def test_what_is_expected_too_low_comes_back_to_where_it_is_seen() -> None:
     """A box that was too large holds all that is found afterwards, which must not keep it where it is."""
     box = plate(20.0, 0.0, *CHILD)
@@ -252,16 +238,24 @@ def test_what_is_expected_too_low_comes_back_to_where_it_is_seen() -> None:
     assert (TRACKER.boxes(tracks)[0] - torch.tensor(box)).abs().max() < 6
 
 
-def test_a_part_of_what_is_known_is_nobody_new_but_somebody_of_another_kind_is() -> None:
-    part = moved(BOX, 5, 40, -5, -5)
-    after = (TRACKER.step(shown(5), detections(BOX, part, scores=[PEDESTRIAN, scores]), 5 / RATE_HZ) for scores in (CYCLIST, CAR))
-    assert [len(each) for each in after] == [1, 2]
+PART = moved(BOX, 5, 40, -5, -5)
+CARS = [plate(*each) for each in ((40.0, 2.0, *SIZES["car"]), (20.0, 1.0, 3.0, 2.1))]
+ADULT, SHORT, BEHIND = plate(15.0, 0.0, *SIZES["pedestrian"]), plate(14.7, 0.05, *CHILD), plate(17.0, 0.05, *CHILD)
 
 
-def test_a_child_before_an_adult_is_followed_too() -> None:
-    """Its box lies in the adult's, who is found whole; legs alone, and who is behind, are taken for parts."""
-    adult, child, behind = plate(15.0, 0.0, *SIZES["pedestrian"]), plate(14.7, 0.05, *CHILD), plate(17.0, 0.05, *CHILD)
-    assert adult[0] < child[0] and adult[1] < child[1] and child[2] < adult[2] and adult[1] < behind[1] and behind[3] < adult[3]
-    two, one = (tracked([detections(adult)] * 5 + [detections(adult, other)] * 15) for other in (child, behind))
-    assert len(one.present) == 1
-    assert sorted(two.size_m[:, 1].tolist()) == pytest.approx([CHILD[1], SIZES["pedestrian"][1]], rel=0.05)
+@pytest.mark.parametrize(
+    ("known", "then", "tracks"),
+    [
+        (detections(BOX), detections(BOX, PART, scores=[PEDESTRIAN, CYCLIST]), 1),  # a part of what is known
+        (detections(BOX), detections(BOX, PART, scores=[PEDESTRIAN, CAR]), 2),  # of another kind
+        (detections(CARS[0], scores=[CAR]), detections(*CARS, scores=[CAR, CAR]), 1),  # around a car that is seen whole
+        (detections(CARS[0], scores=[CAR]), detections(CARS[1], scores=[CAR]), 2),
+        (detections(ADULT), detections(ADULT, SHORT), 2),  # a child before an adult, in whose box it lies
+        (detections(ADULT), detections(ADULT, BEHIND), 1),  # and behind, as legs alone
+    ],
+)
+def test_a_detection_within_another_starts_a_track_or_is_a_part(known: Detections, then: Detections, tracks: int) -> None:
+    after = tracked([known] * 5 + [then] * 5)
+    assert len(after.present) == tracks
+    if then.boxes[-1].tolist() == pytest.approx(SHORT, rel=1e-6):
+        assert sorted(after.size_m[:, 1].tolist()) == pytest.approx([CHILD[1], SIZES["pedestrian"][1]], rel=0.05)
