@@ -15,7 +15,7 @@ import torch
 from luxloop.controllers.symbol.sensing.field import SIDES, cut
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.loop.recording.checks import Checks
-from luxloop.loop.recording.labels import Labels, Layout
+from luxloop.loop.recording.labels import Layout, choose_labels
 from luxloop.loop.recording.manifest import REPORT, TRAJECTORY, VIDEO
 from luxloop.loop.recording.record import refuse_unknown_columns, row
 from luxloop.loop.recording.remedies import of_target
@@ -105,7 +105,7 @@ def run(  # noqa: PLR0913 (each value stands by itself)
     if folder is None:
         temporary = TemporaryDirectory(prefix="luxloop-")
         folder = temporary.name
-    wanted = Labels.asked(labels, masks=masks, depth=depth, lux=lux)
+    wanted = choose_labels(labels, masks=masks, depth=depth, lux=lux)
     played = shadow_of(scenario.plant)
     if played is not None and Path(played).resolve() == Path(folder).resolve():
         raise LuxloopError(f"{folder}: is the recording that is played, which this run would replace; give another folder with --out")

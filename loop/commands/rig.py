@@ -13,7 +13,7 @@ from cyclopts import App, Parameter
 
 from luxloop.loop.commands.options import AllowCode, Count, Flag, Keys, Share, scenario_of, within
 from luxloop.loop.commands.rig_calibration import board, calibrate, digitise, fit
-from luxloop.loop.commands.rig_runs import await_rig, pixel_grids
+from luxloop.loop.commands.rig_runs import connect, pixel_grids, read_rig
 from luxloop.loop.report import terminal as tables
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import atomic_write, writing
@@ -98,18 +98,15 @@ def check(file: Path, /, *, scenario: Named = "snowflake", set: Keys = None, all
         Keys of the scenario to change, as key=value in TOML syntax.
     """
     from luxloop.loop.rig.lights import open_light
-    from luxloop.loop.rig.params import load_rig
-    from luxloop.loop.rig.rig import look, open_rig
+    from luxloop.loop.rig.rig import look
 
-    params = load_rig(file, allow_code=allow_code)
-    given = scenario_of(scenario, set, allow_code=allow_code)
+    params = read_rig(file, allow_code)
+    fitting = scenario_of(scenario, set, allow_code=allow_code)
+    grids = pixel_grids(fitting)
     with locate(str(file)):
-        grids = pixel_grids(given)
-        light = open_light(params.light, grids)
-        light.close()
-        with open_rig(params, grids, given.camera, armed=False) as rig:
-            await_rig(rig)
-            found = look(rig)
+        open_light(params.light, grids).close()
+    with connect(params, file, grids, fitting.camera, False) as rig:
+        found = look(rig)
     rows = {
         "light": f"{params.light.kind}, {sum(rows * columns for rows, columns in grids):,} pixels of {scenario}; not lit",
         "camera": f"{', '.join(f'{w} x {h} px' for w, h in found['sizes'])} at {found['rate_hz']:.1f} Hz, "
@@ -155,24 +152,21 @@ def light(
     import numpy as np
 
     from luxloop.loop.rig.light import Shine
-    from luxloop.loop.rig.params import load_rig
-    from luxloop.loop.rig.rig import open_rig
 
-    params = load_rig(file, allow_code=allow_code).model_copy(update={"mark": None})
+    params = read_rig(file, allow_code, mark=None)
     grids = pixel_grids(scenario_of(scenario, set, allow_code=allow_code))
     if not arm:
         count = sum(rows * columns for rows, columns in grids)
         print(f"{file}: all {count:,} pixels would be lit for {seconds:g} s; give --arm to light them")
         return
     on = tuple(np.full(grid, level, np.float32) for grid in grids)
-    with locate(str(file)), open_rig(params, grids, None, armed=True) as rig, tables.progress("light", max(round(seconds), 1)) as advance:
-        await_rig(rig)
+    with connect(params, file, grids, None, True) as rig, tables.progress("light", max(round(seconds), 1)) as advance:
         until_s, number = time.monotonic() + seconds, 0
         while time.monotonic() < until_s:
-            given, _ = rig.expose(Shine(number, on), 1.0)
+            shown, _ = rig.expose(Shine(number, on), 1.0)
             number += 1
-            if given.dimmed < 1:
-                raise LuxloopError(f"limits: let {given.dimmed:.0%} of it through; give a lower --level, or raise power")
+            if shown.dimmed < 1:
+                raise LuxloopError(f"limits: let {shown.dimmed:.0%} of it through; give a lower --level, or raise power")
             advance()
     print("dark again")
 
@@ -202,17 +196,15 @@ def take(
     """
     import cv2
 
-    from luxloop.loop.rig.params import load_rig
     from luxloop.loop.rig.rectification import grey
-    from luxloop.loop.rig.rig import CAMERA_S, open_rig
+    from luxloop.loop.rig.rig import CAMERA_S
 
     single = out.suffix == ".png"
     if out.exists():
         raise LuxloopError(f"{out}: is there already; name another, or remove it")
-    params = load_rig(file, allow_code=allow_code).model_copy(update={"mark": None})
+    params = read_rig(file, allow_code, mark=None)
     paths = [out] if single else [out / f"{k:03d}.png" for k in range(count)]
-    with locate(str(file)), open_rig(params, (), None, armed=False) as rig, tables.progress("pictures", len(paths)) as advance:
-        await_rig(rig)
+    with connect(params, file, (), None, False) as rig, tables.progress("pictures", len(paths)) as advance:
         for k, path in enumerate(paths):
             time.sleep(every_s if k else 0.0)
             rig.camera.forget()
@@ -261,17 +253,13 @@ def blink(
         Write the result as [timing] into the rig file.
     """
     from luxloop.loop.rig.blink import evaluate, record
-    from luxloop.loop.rig.params import load_rig
-    from luxloop.loop.rig.rig import open_rig
 
-    params = load_rig(file, allow_code=allow_code)
-    given = scenario_of(scenario, set, allow_code=allow_code)
-    grids = pixel_grids(given)
+    params = read_rig(file, allow_code)
+    grids = pixel_grids(scenario_of(scenario, set, allow_code=allow_code))
     if not arm:
         print(f"{file}: all {sum(rows * columns for rows, columns in grids):,} pixels would blink {blinks} times; give --arm to light them")
         return
-    with locate(str(file)), open_rig(params, grids, None, armed=True) as rig, tables.progress("blink", blinks + 2) as advance:
-        await_rig(rig)
+    with connect(params, file, grids, None, True) as rig, tables.progress("blink", blinks + 2) as advance:
         found = evaluate(record(rig, grids, blinks, level, advance), blinks)
     tables.show(tables.facts(_delays(found)))
     if found.warning:
@@ -285,7 +273,7 @@ def blink(
 
 
 def write_timing(file: Path, timing: Mapping[str, float]) -> None:
-    """Write values of `[timing]` into a rig file and change nothing else in it. Raises LuxloopError if it cannot be written."""
+    """Write values of `[timing]` into a rig file and change nothing else. Raises LuxloopError if the file cannot be written."""
     text = file.read_text("utf-8")
     table = re.search(r"^\[timing\][^\n]*\n(?:(?!\[)[^\n]*\n?)*", text, re.M)
     old = table[0] if table else "\n[timing]\n"
@@ -301,7 +289,7 @@ def write_timing(file: Path, timing: Mapping[str, float]) -> None:
         understood = tomllib.loads(made)["timing"].items() >= {name: float(f"{value:g}") for name, value in timing.items()}.items()
     except tomllib.TOMLDecodeError:
         understood = False
-    if not understood:  # [timing] is there in another notation
+    if not understood:  # [timing] has another notation
         raise LuxloopError(f"{file}: timing: is not written as a table [timing] of its own, with a line for each key; rewrite it so")
     atomic_write(file, made)
 
@@ -320,7 +308,7 @@ def _delays(found: "BlinkResult") -> dict[str, str]:
 
 @contextmanager
 def _ending(end: Callable[[], None]) -> Iterator[None]:
-    """Ctrl-C, SIGTERM and SIGHUP request the end, in place of an exception that could be raised while a lock is held."""
+    """Ctrl-C, SIGTERM and SIGHUP call `end` in place of an exception, which could be raised while a lock is held."""
     ends = [each for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(each) is not signal.SIG_IGN]
     before = [(each, signal.signal(each, lambda *_: end())) for each in ends]
     try:

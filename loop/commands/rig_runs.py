@@ -1,7 +1,7 @@
 """`luxloop run --rig`: a real lamp and a real camera as the plant, or a real lamp that lights the simulated world."""
 
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,10 +12,11 @@ from luxloop.world.errors import LuxloopError, locate, redact
 if TYPE_CHECKING:
     from luxloop.loop.rig.arrays import Grids
     from luxloop.loop.rig.live.plant import LivePlant
-    from luxloop.loop.rig.params import MarkParams
+    from luxloop.loop.rig.params import MarkParams, RigParams
     from luxloop.loop.rig.rig import Rig
     from luxloop.loop.scenario.model import Scenario
     from luxloop.loop.simulation.simulated import SimulatedPlant
+    from luxloop.perception.camera import CameraParams
 
 EVALUATOR = "the rig's own camera, by its view of the plane that it is calibrated to; the truth is not known, and its columns are empty"
 
@@ -23,27 +24,27 @@ EVALUATOR = "the rig's own camera, by its view of the plane that it is calibrate
 def run_on_rig(
     scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool], device: str, kept: Mapping[str, Any], twin: bool = False
 ) -> bool:
-    """Run a scenario on a rig and record it; returns whether all evaluated checks passed.
+    """Run a scenario on a rig and record the run; returns whether all evaluated checks passed.
 
-    out: folder of the recording. rig_file: its path, whether the lamp is lit, and whether modules that it names may run. device: to compute
-    on. kept: what is recorded, keyword arguments of `luxloop.loop.run.run`. twin: whether the exposures are also simulated and compared
-    with the rig's frames, which are kept then. Checks that need the truth are left out. Raises LuxloopError if the rig cannot be opened,
-    and KeyboardInterrupt that says what was kept; the lamp is dark then. Raises LuxloopError after a run to which too few frames came.
+    out: folder of the recording. rig_file: path, whether the lamp is lit, and whether modules that the file names may run. device: torch
+    device. kept: what is recorded, keyword arguments of `luxloop.loop.run.run`. twin: whether frames are recorded, and the exposures
+    simulated and compared with them. Checks that need the truth are left out. The lamp is dark after the run. Raises LuxloopError if the
+    rig cannot be opened or sends too few frames, and KeyboardInterrupt that says which steps are kept.
     """
     from luxloop.loop.commands.runs import run_scenario
-    from luxloop.loop.recording.manifest import RIG, write_json
-    from luxloop.loop.rig.params import load_rig
     from luxloop.loop.rig.plant import RigEvaluator, RigPlant
-    from luxloop.loop.rig.rig import open_rig
     from luxloop.loop.simulation.build import from_zero
+    from luxloop.loop.simulation.columns import of_truth
+    from luxloop.loop.simulation.lamps import lamp_modules
 
     file, armed, allow_code = rig_file
-    params = load_rig(file, allow_code=allow_code)
-    scenario, left_out = _without_truth(scenario)
-    if left_out:
-        tables.say(f"checks that need the truth are left out: {', '.join(left_out)}")
-    with locate(str(file)), open_rig(params, pixel_grids(scenario), scenario.camera, armed=armed) as rig:
-        await_rig(rig)
+    params = read_rig(file, allow_code)
+    without = [name for name, each in scenario.checks.items() if of_truth(each.metric) or each.compare is not None]
+    checks = {name: each for name, each in scenario.checks.items() if name not in without}
+    scenario = scenario.model_copy(update={"checks": checks})
+    if without:
+        tables.say(f"checks that need the truth are left out: {', '.join(without)}")
+    with connect(params, file, pixel_grids(scenario), scenario.camera, armed) as rig:
         rig.refuse_misfit()
         if not armed:
             tables.say("dry run: the lamp stays dark; give --arm to light it")
@@ -52,8 +53,6 @@ def run_on_rig(
         simulated: SimulatedPlant | None = None
 
         def plant(simulation: Any) -> Any:
-            from luxloop.loop.simulation.lamps import lamp_modules
-
             nonlocal evaluator, simulated
             modules, evaluator = lamp_modules(simulation.modules), RigEvaluator(simulation.controlled, scenario.camera, params.mark)
             if twin:
@@ -67,14 +66,13 @@ def run_on_rig(
             passed = run_scenario(scenario, out, device, False, {**kept, "plant": plant, "frames": kept["frames"] or twin})
         finally:
             rig.keeper.dark("the run has ended")
-            found = of_run(rig, len(scenario.shares)) | {"judged": {} if evaluator is None else evaluator.summary()}
-            told = {"rig": redact(params.model_dump(mode="json")), "armed": armed, **found}
-            if out.is_dir() and rig.statistics.exposures:
-                write_json(out / RIG, told)
-            tables.show(tables.facts(in_words(found) | {"evaluator": EVALUATOR}))
+            figures = of_run(rig, len(scenario.shares)) | {"judged": {} if evaluator is None else evaluator.summary()}
+            if out.is_dir():
+                _write(out, rig, figures)
+            tables.show(tables.facts(in_words(figures) | {"evaluator": EVALUATOR}))
     if simulated is not None:
         compared = _twin(out, simulated, params.mark, scenario.steps * len(scenario.shares))
-        write_json(out / RIG, told | {"twin": compared})
+        _write(out, rig, figures | {"twin": compared})
         tables.show(tables.facts(_twin_in_words(compared)))
     _require_frames(rig, file, out)
     return passed
@@ -83,25 +81,22 @@ def run_on_rig(
 def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool], device: str, kept: Mapping[str, Any]) -> bool:
     """Run a scenario in its simulated world with one module digitised from a real lamp; returns whether all evaluated checks passed.
 
-    out: folder of the recording. rig_file: its path, whether the lamp is lit, and whether modules that it names may run. device: to compute
-    on. kept: what is recorded, keyword arguments of `luxloop.loop.run.run`. Checks that compare with another light are left out. Raises
-    LuxloopError if the rig cannot be opened or does not fit the scenario, and KeyboardInterrupt that says what was kept; the lamp is dark
-    then. Raises LuxloopError after a run to which too few frames came.
+    out, rig_file, device, kept: as of `run_on_rig`. Checks that compare with a baseline are left out. The lamp is dark after the run.
+    Raises LuxloopError if the rig cannot be opened, does not fit the scenario or sends too few frames, and KeyboardInterrupt that says
+    which steps are kept.
     """
     from luxloop.loop.commands.runs import run_scenario
-    from luxloop.loop.recording.manifest import BEAM, RIG, write_json
+    from luxloop.loop.recording.manifest import BEAM
     from luxloop.loop.rig.arrays import grids_of
     from luxloop.loop.rig.calibration.calibrate import load
     from luxloop.loop.rig.calibration.pictures import draw_beam
     from luxloop.loop.rig.live.plant import live_plant, refuse_unfit
-    from luxloop.loop.rig.params import load_rig
-    from luxloop.loop.rig.rig import open_rig
     from luxloop.loop.scenario.plant import SimulatedPlantParams
     from luxloop.loop.simulation.build_lamps import mount
     from luxloop.loop.simulation.digitised import digitised_number
 
     file, armed, allow_code = rig_file
-    params = load_rig(file, allow_code=allow_code)
+    params = read_rig(file, allow_code)
     with locate(str(file)):
         calibration_file = refuse_unfit(params)
     calibration = load(calibration_file)
@@ -110,9 +105,7 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
     with locate(scenario.source):
         modules = mount(scenario.headlight)
         number = digitised_number(scenario, [each.name for each in modules])
-    exposures = scenario.steps * len(scenario.shares)
-    with locate(str(file)), open_rig(params, grids_of([modules[number]]), None, armed=armed) as rig, ExitStack() as stack:
-        await_rig(rig)
+    with connect(params, file, grids_of([modules[number]]), None, armed) as rig, ExitStack() as stack:
         if not armed:
             tables.say("dry run: the lamp stays dark, and so does its module; give --arm to light it")
         live: LivePlant | None = None
@@ -120,7 +113,7 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
         def plant(simulation: Any) -> Any:
             nonlocal live
             with locate(str(calibration_file)):
-                live = stack.enter_context(live_plant(rig, simulation.plant, calibration, exposures))
+                live = stack.enter_context(live_plant(rig, simulation.plant, calibration, scenario.steps * len(scenario.shares)))
             rig.statistics = type(rig.statistics)()
             return live
 
@@ -129,25 +122,41 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
         finally:
             rig.keeper.dark("the run has ended")
             if live is not None and rig.statistics.exposures and out.is_dir():
-                found = of_run(rig, len(scenario.shares)) | {"judged": {}}
+                figures = of_run(rig, len(scenario.shares)) | {"judged": {}}
                 beam = live.beam.summary() | {"module": modules[number].name, "seen": live.digitiser.coverage}
-                write_json(out / RIG, {"rig": redact(params.model_dump(mode="json")), "armed": armed, **found, "live": beam})
+                _write(out, rig, figures | {"live": beam})
                 if live.beam.newest is not None:
                     texture, u = live.beam.newest
                     draw_beam(out / BEAM, texture, live.truth.modules[number].headlight, u)
-                tables.show(tables.facts(in_words(found) | _beam_in_words(beam)))
+                tables.show(tables.facts(in_words(figures) | _beam_in_words(beam)))
     _require_frames(rig, file, out)
     return passed
 
 
 def pixel_grids(scenario: "Scenario") -> "Grids":
     """Rows and columns of the pixels of the scenario's modules."""
-
     from luxloop.loop.rig.arrays import grids_of
     from luxloop.loop.simulation.build_lamps import mount
 
     with locate(scenario.source):
         return grids_of(mount(scenario.headlight))
+
+
+def read_rig(file: Path, allow_code: bool, **changes: Any) -> "RigParams":
+    """Read a rig file. changes: values that replace its tables. Raises LuxloopError where the file is wrong."""
+    from luxloop.loop.rig.params import load_rig
+
+    return load_rig(file, allow_code=allow_code).model_copy(update=changes)
+
+
+@contextmanager
+def connect(params: "RigParams", file: Path, grids: "Grids", camera: "CameraParams | None", armed: bool) -> "Iterator[Rig]":
+    """The open rig of a file, with its page and camera connected; arguments as of `luxloop.loop.rig.rig.open_rig`. Errors name the file."""
+    from luxloop.loop.rig.rig import open_rig
+
+    with locate(str(file)), open_rig(params, grids, camera, armed=armed) as rig:
+        await_rig(rig)
+        yield rig
 
 
 def await_rig(rig: "Rig") -> None:
@@ -161,17 +170,16 @@ def await_rig(rig: "Rig") -> None:
         raise LuxloopError(rig.camera.reason)
 
 
-def _without_truth(scenario: "Scenario") -> tuple["Scenario", list[str]]:
-    """The scenario without checks that a rig cannot evaluate, and their names."""
-    from luxloop.loop.simulation.columns import of_truth
+def _write(out: Path, rig: "Rig", figures: Mapping[str, Any]) -> None:
+    """Write a rig's parameters and the figures of a run into the recording, unless nothing was exposed."""
+    from luxloop.loop.recording.manifest import RIG, write_json
 
-    left_out = [name for name, each in scenario.checks.items() if of_truth(each.metric) or each.compare is not None]
-    kept = {name: each for name, each in scenario.checks.items() if name not in left_out}
-    return scenario.model_copy(update={"checks": kept}), left_out
+    if rig.statistics.exposures:
+        write_json(out / RIG, {"rig": redact(rig.params.model_dump(mode="json")), "armed": rig.armed, **figures})
 
 
 def _twin(out: Path, simulated: "SimulatedPlant", mark: "MarkParams | None", exposures: int) -> dict[str, Any]:
-    """Simulate the exposures of the rig. exposures: their largest number. Raises KeyboardInterrupt that says what was kept."""
+    """Simulate the exposures of the rig, and compare the frames. exposures: their largest number. Raises KeyboardInterrupt after Ctrl-C."""
     from luxloop.loop.rig.calibration.twin import write_twin
 
     try:
@@ -191,51 +199,53 @@ def _twin_in_words(found: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _require_frames(rig: "Rig", file: Path, out: Path) -> None:
-    """Raises LuxloopError after a run on a rig that sent too few frames. file: of the rig. out: folder of the recording."""
+    """Raises LuxloopError where the rig sent too few frames. file: rig file. out: folder of the recording."""
     if failure := rig.statistics.failure:
         raise LuxloopError(f"{file}: {failure}; the recording is kept in {out}")
 
 
 def of_run(rig: "Rig", per_step: int) -> dict[str, Any]:
     """Statistics of a run on a rig, as plain data. per_step: exposures per control step."""
-    told = rig.keeper
-    watched = {"darkened": told.darkened, "interruptions": told.interruptions}
+    watched = {"darkened": rig.keeper.darkened, "interruptions": rig.keeper.interruptions}
     camera = {"pictures": rig.camera.count, "dropped": rig.camera.dropped, "connections": rig.camera.connections}
     return {**rig.statistics.summary(per_step), "per_step": per_step, "watchdog": watched, "camera": camera}
 
 
-def in_words(found: Mapping[str, Any]) -> dict[str, str]:
-    """The result of `of_run`, and `judged`, as rows of a table."""
-    lost, late = sum(found["lost"].values()), found["light_to_frame_ms"]
+def in_words(figures: Mapping[str, Any]) -> dict[str, str]:
+    """Rows of a table on the figures of a run: statistics of `of_run`, and `judged`."""
+    lost = figures["lost"]
+    reasons = (f"\n{count} lost: {reason}" for reason, count in sorted(lost.items(), key=lambda each: -each[1])[:5])
     rows = {
-        "control rate": f"{tables.number(found['control_rate_hz'], '.2f')} Hz",
-        "light to frame": "no frame was taken"
-        if late["median"] is None
-        else f"{late['median']:.0f} ms (median), {late['p95']:.0f} ms (95 %), {late['worst']:.0f} ms (worst)",
-        "frames": f"{found['exposures'] - lost} of {found['exposures']} exposures"
-        + "".join(f"\n{count} lost: {reason}" for reason, count in sorted(found["lost"].items(), key=lambda each: -each[1])[:5]),
-        "pictures": ", ".join(f"{count} {what}" for what, count in sorted(found["pictures"].items())) or "none",
+        "control rate": f"{tables.number(figures['control_rate_hz'], '.2f')} Hz",
+        "light to frame": _spread(figures["light_to_frame_ms"]) or "no frame was taken",
+        "frames": "".join([f"{figures['exposures'] - sum(lost.values())} of {figures['exposures']} exposures", *reasons]),
+        "pictures": ", ".join(f"{count} {what}" for what, count in sorted(figures["pictures"].items())) or "none",
     }
-    for name, each in found["judged"].items():
+    for name, each in figures["judged"].items():
         off = each["centroid_error_percent"]
-        step = each["exposure"] // found["per_step"]
-        told = f"IoU {each['iou_final']:.3f} at step {step}, {each['iou_mean']:.3f} on average in the last {each['pairs']}"
+        step = each["exposure"] // figures["per_step"]
+        iou = f"IoU {each['iou_final']:.3f} at step {step}, {each['iou_mean']:.3f} on average in the last {each['pairs']}"
         where = "nothing is lit" if off is None else f"centroid {off[0]:.1f} % along, {off[1]:.1f} % across"
-        rows[f"{name}, as the camera sees it"] = f"{told}; {where}"
-    if found["dimmed"] or found["slowed"]:
-        rows["limits"] = f"dimmed {found['dimmed']} exposures, slowed {found['slowed']}"
-    if any(found["watchdog"].values()):
-        rows["watchdog"] = f"darkened the lamp {found['watchdog']['darkened']} times, {found['watchdog']['interruptions']} interruptions"
+        rows[f"{name}, as the camera sees it"] = f"{iou}; {where}"
+    if figures["dimmed"] or figures["slowed"]:
+        rows["limits"] = f"dimmed {figures['dimmed']} exposures, slowed {figures['slowed']}"
+    if any(figures["watchdog"].values()):
+        rows["watchdog"] = (
+            f"darkened the lamp {figures['watchdog']['darkened']} times, {figures['watchdog']['interruptions']} interruptions"
+        )
     return rows
 
 
+def _spread(ms: Mapping[str, float | None]) -> str:
+    """Quantiles of a delay in words; empty without a value."""
+    return "" if ms["median"] is None else f"{ms['median']:.0f} ms (median), {ms['p95']:.0f} ms (95 %), {ms['worst']:.0f} ms (worst)"
+
+
 def _beam_in_words(beam: Mapping[str, Any]) -> dict[str, str]:
-    whole, part = beam["light_to_texture_ms"], beam["frame_to_texture_ms"]
-    if whole["median"] is None:
+    if not (times := _spread(beam["light_to_texture_ms"])):
         return {f"{beam['module']}, digitised": "no frame was taken"}
-    times = f"{whole['median']:.0f} ms (median), {whole['p95']:.0f} ms (95 %), {whole['worst']:.0f} ms (worst)"
     rows = {
-        "light to texture": f"{times}; {part['median']:.0f} ms of it to digitise",
+        "light to texture": f"{times}; {beam['frame_to_texture_ms']['median']:.0f} ms of it to digitise",
         f"{beam['module']}, digitised": f"the camera sees {beam['seen']:.1%} of its texels",
     }
     if beam["saturated"]:

@@ -1,4 +1,4 @@
-"""The checks of a run: values of its recording, held against bounds, some as ratios to those of another light in the same world."""
+"""The checks of a run: bounds on columns of its recording, some in comparison with the same world under a baseline's light."""
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -11,32 +11,32 @@ from luxloop.loop.recording.summary import Summary, column
 from luxloop.loop.scenario.checks import Baseline, By, CheckParams
 from luxloop.world.errors import LuxloopError, did_you_mean
 
-ROUNDING_S = 1e-6  # of sums of periods and of clocks that count from 1970, at a window's ends
+ROUNDING_S = 1e-6  # at the ends of a window, for sums of periods and clocks that count from 1970
 NOTHING = "nothing was there to check"
 
 
 class Checks:
-    """The checks of a run, and the lights that run beside it: `step` after each of its steps, and `outcomes` at its end."""
+    """The checks of a run and the runs of their baselines: `step` after each step, `outcomes` at the end."""
 
     def __init__(self, checks: Mapping[str, CheckParams], beside: Callable[[Baseline], Iterator[Summary]] | None) -> None:
-        """beside: the run of another light, a step as plain values by the names of columns; None leaves out the checks that need one."""
-        self._given = {name: check for name, check in checks.items() if beside or check.compare is None}
-        self._runs = {} if beside is None else {light: beside(light) for light in lights(self._given)}
+        """beside: starts the run of a baseline, which yields plain values by column for each step; None leaves out checks that compare."""
+        self._checks = {name: check for name, check in checks.items() if beside or check.compare is None}
+        self._runs = {} if beside is None else {light: beside(light) for light in baselines(self._checks)}
         self._rows: dict[Baseline, list[Summary]] = {light: [] for light in self._runs}
 
     def step(self) -> None:
-        """One step of each light beside; what is rendered for the run serves them as well."""
+        """Step the runs of all baselines, which share the renderings of the run."""
         for light, run in self._runs.items():
             values = next(run)
-            self._rows[light].append({name: values.get(name) for name in ("time_s", *(check.metric for check in self._given.values()))})
+            self._rows[light].append({name: values.get(name) for name in ("time_s", *(check.metric for check in self._checks.values()))})
 
     def outcomes(self, table: pa.Table) -> dict[str, Summary]:
-        """What has come of each check, by name, ready for JSON; table: the steps of the run so far."""
-        return {name: outcome(check, table, self._rows) for name, check in self._given.items()}
+        """Outcome of each check, by name, ready for JSON. table: rows of the run so far."""
+        return {name: outcome(check, table, self._rows) for name, check in self._checks.items()}
 
 
 def outcome(check: CheckParams, table: pa.Table, beside: Mapping[Baseline, Sequence[Summary]]) -> Summary:
-    """What has come of a check. beside: a row a step of the light that it compares with, by that light."""
+    """Outcome of a check. beside: rows of the baselines' runs, one a step."""
     times_s, values, other = column(table, "time_s"), column(table, check.metric), None
     value = held = _value(check, times_s, values)
     if check.compare is not None:
@@ -59,21 +59,21 @@ def outcome(check: CheckParams, table: pa.Table, beside: Mapping[Baseline, Seque
 
 
 def ratio(value: float | None, other: float | None) -> float | None:
-    """The one as a multiple of the other: 1 where both are 0, infinite where that alone is, None where there is no value."""
+    """Value divided by other: 1 if both are 0, infinite if only other is 0, None if either is None."""
     if value is None or other is None:
         return None
     return value / other if other else math.copysign(math.inf, value) if value else 1.0
 
 
-def lights(checks: Mapping[str, CheckParams]) -> tuple[Baseline, ...]:
-    """Those that checks compare with, each once."""
+def baselines(checks: Mapping[str, CheckParams]) -> tuple[Baseline, ...]:
+    """Baselines that checks compare with, each once."""
     return tuple(dict.fromkeys(check.compare for check in checks.values() if check.compare is not None))
 
 
 def refuse_unknown(checks: Mapping[str, CheckParams], schema: pa.Schema, compared: Collection[str], detected: Collection[str] = ()) -> None:
-    """Raises LuxloopError where a check names no column of numbers of the recording, or compares one that other light lacks.
+    """Raises LuxloopError where a check names no numeric column of the recording, or compares one that the baseline's recording lacks.
 
-    compared: columns that the recordings of other lights have as well. detected: those that there are with a detector.
+    compared: columns that the baselines' recordings have as well. detected: columns of a recording with a detector.
     """
     known = [field.name for field in schema if field.type != pa.string()]
     for name, check in checks.items():
@@ -92,7 +92,7 @@ def refuse_unknown(checks: Mapping[str, CheckParams], schema: pa.Schema, compare
 
 
 def _alternatives(metric: str, known: Sequence[str]) -> str:
-    """Columns of the same table, or of the same key; where there are none, all of them, tables of columns each in a word."""
+    """Known columns of the same table or with the same last part; if there are none, all columns, one word a table."""
     table, dot, _ = metric.partition(".")
     alike = [name for name in known if (name.startswith(f"{table}.") if dot else name.endswith(f".{metric}"))]
     tables = dict.fromkeys(f"{name.rpartition('.')[0]}.*" if "." in name else name for name in known)
@@ -100,7 +100,7 @@ def _alternatives(metric: str, known: Sequence[str]) -> str:
 
 
 def success(summary: Summary) -> bool:
-    """Whether all checks of a run have, by its summary."""
+    """Whether all checks of a run passed, by its summary."""
     return all(outcome["passed"] for outcome in summary["checks"].values())
 
 
@@ -142,7 +142,7 @@ def _comparison(outcome: Summary, unit: str) -> str:
 
 
 def _value(check: CheckParams, times_s: np.ndarray, values: np.ndarray) -> float | None:
-    """The value of a column `[steps]` that a check asks for; None where no step in its window has one."""
+    """A check's statistic of values `[steps]`; None where no step in the window has a value."""
     until_s = math.inf if check.until_s is None else check.until_s
     inside = np.isfinite(values) & (times_s >= check.from_s - ROUNDING_S) & (times_s <= until_s + ROUNDING_S)
     there = values[inside] if check.over_s is None else _moving_means(times_s[inside], values[inside], check.over_s)
@@ -154,7 +154,7 @@ def _value(check: CheckParams, times_s: np.ndarray, values: np.ndarray) -> float
 
 
 def _moving_means(times_s: np.ndarray, values: np.ndarray, over_s: float) -> np.ndarray:
-    """Means of the values from over_s before a step to that step, both included, of the steps before which there is as much time."""
+    """Mean of the values of the last over_s seconds, both ends included, for each step at which over_s seconds have passed."""
     firsts = np.searchsorted(times_s, times_s - over_s - ROUNDING_S)
     whole = (k for k in range(len(times_s)) if times_s[k] - times_s[0] >= over_s - ROUNDING_S)
     return np.array([values[firsts[k] : k + 1].mean() for k in whole])

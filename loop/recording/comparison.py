@@ -1,4 +1,4 @@
-"""Two trajectories of one scenario held against each other, column by column, within stated tolerances."""
+"""Compares two trajectories of one scenario column by column within stated tolerances."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from luxloop.loop.recording.summary import AXES, steady_step
 from luxloop.loop.simulation.columns import AIM, CENTROIDS, CUT, ERRORS, of_one
 
 SHEAR = (0.005, "a quarter of what counts as settled")
-# Largest difference between two machines that is no difference in behaviour, and why. Timings are excepted, all else is exact.
+# Largest difference between two machines that is no difference in behaviour, and the reason; other columns are exact, timings ignored.
 TOLERANCES: dict[str, tuple[float, str]] = {
     "time_s": (1e-9, "rounding of step times period"),
     **dict.fromkeys(("x_m", "y_m"), (1e-3, "a millimetre")),
@@ -31,13 +31,13 @@ TOLERANCES: dict[str, tuple[float, str]] = {
 }
 CENTROID_PX = (0.1, "a tenth of a pixel of the raw image")
 CENTROID_M = (0.001, "a millimetre, as the pose's")
-SHARE = 2e-3  # of a column's largest value: a pixel at the border of a shadow moves a mean of hundreds of pixels by so much
-STEADY_STEPS = 1  # a symbol at the border of 2 % may come to rest a step sooner or later
+SHARE = 2e-3  # of a column's largest value: one pixel at the border of a shadow changes a mean over hundreds of pixels as much
+STEADY_STEPS = 1  # a symbol at the border of 2 % may become steady a step sooner or later
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """How a replay differs from its recording. notes: what was different from the start, a sentence each."""
+    """Differences of a replay from its recording. notes: changes of inputs, versions and devices since the recording, a sentence each."""
 
     steps: int
     differences: tuple["Difference", ...]
@@ -45,13 +45,13 @@ class Comparison:
 
     @property
     def agrees(self) -> bool:
-        """Whether nothing is out of tolerance."""
+        """Whether all columns are within tolerance."""
         return not self.differences
 
 
 @dataclass(frozen=True)
 class Difference:
-    """A column out of tolerance: the step where it first is, the two values there, and the largest difference with its step."""
+    """A column out of tolerance: first step out of tolerance, both values there, and the largest difference with its step."""
 
     column: str
     tolerance: float
@@ -63,7 +63,7 @@ class Difference:
 
 
 def tolerances(what: FeatureParams) -> dict[str, tuple[float, str]]:
-    """Tolerance and reason of every numeric column that is compared within one, for the features that a scenario looks at."""
+    """Tolerance and reason by column of a symbol. what: features that its controller measures."""
     centroid = CENTROID_PX if what.view == "raw" else CENTROID_M
     shape = (centroid, centroid) if what.shape == "quadrants" else (SHEAR, centroid)
     features = dict(zip(ERRORS, (centroid, centroid, *shape), strict=True))
@@ -71,10 +71,10 @@ def tolerances(what: FeatureParams) -> dict[str, tuple[float, str]]:
 
 
 def compare(recorded: pa.Table, replayed: pa.Table, held: Mapping[str, FeatureParams], *, exact: bool = False) -> tuple[Difference, ...]:
-    """Columns that differ by more than two machines may, in the order of the file; words must be the same, and so must darkness.
+    """Columns out of tolerance, in the order of the file; texts and zeros must be equal.
 
-    held: what controllers look at of each symbol that they hold, by name. Both tables have the columns of `replayed`; steps that only one
-    has are a difference of the column "step". What is there in one alone is an infinite difference. exact: whether none is allowed.
+    held: features of each symbol under control, by name. Both tables have the columns of `replayed`; different numbers of steps are a
+    difference of the column "step", a value in one table only is an infinite difference. exact: whether all tolerances are 0.
     """
     steps = min(recorded.num_rows, replayed.num_rows)
     found = []
@@ -98,14 +98,14 @@ def compare(recorded: pa.Table, replayed: pa.Table, held: Mapping[str, FeaturePa
 
 
 def _tolerance(column: pa.ChunkedArray) -> float:
-    """Tolerance of numbers that many things make."""
+    """Tolerance of a column with contributions of many pixels."""
     if not pa.types.is_floating(column.type):
         return 0.0
     return SHARE * max((abs(value) for value in column.to_pylist() if value is not None), default=0.0)
 
 
 def _distance(a: pa.ChunkedArray, b: pa.ChunkedArray) -> np.ndarray:
-    """Absolute differences `[steps]`; infinite where words or truths differ, or only one value is there."""
+    """Absolute differences `[steps]`; infinite where texts or truth values differ, or one value is empty."""
     if pa.types.is_string(b.type) or pa.types.is_boolean(b.type):
         return np.where(np.array(a.to_pylist(), object) == np.array(b.to_pylist(), object), 0.0, np.inf)
     a_values, b_values = a.to_numpy().astype(float), b.to_numpy().astype(float)

@@ -1,4 +1,4 @@
-"""The manifest of a recording: what ran, on what, with which files. Written first, so that a recording explains itself however it ends."""
+"""The manifest of a recording: scenario, machine, versions and input files of a run, written before its first step."""
 
 import datetime
 import hashlib
@@ -32,28 +32,28 @@ from luxloop.world.validation import parsed_json, sentences
 
 MANIFEST = "manifest.json"
 TRAJECTORY, SUMMARY, REPORT, VIDEO, EDITS = "trajectory.parquet", "summary.json", "report.png", "video.mp4", "edits.json"
-RIG = "rig.json"  # of a run on a rig: its file, and how frames came
-TWIN, TWIN_PICTURE = "twin.parquet", "twin.png"  # of a rig's frames held against the simulated plant's
-BEAM = "beam.png"  # of the last light that was digitised live
+RIG = "rig.json"  # of a run on a rig: rig file, and statistics of frames
+TWIN, TWIN_PICTURE = "twin.parquet", "twin.png"  # comparison of a rig's frames with simulated ones
+BEAM = "beam.png"  # the last light that was digitised live
 FILES = (TRAJECTORY, SUMMARY, REPORT, VIDEO, EDITS, RIG, TWIN, TWIN_PICTURE, BEAM, MANIFEST)
 FORMAT_VERSION: Final = 1
 PACKAGES = ("luxloop", "torch", "numpy", "scipy", "kornia", "opencv-contrib-python-headless", "pyrender", "trimesh", "embreex", "pyarrow")
 
 
 class InputFile(Params):
-    """A file beside the scenario that decides a run."""
+    """An input file of a run."""
 
-    file: str = Field(description="where it was")
-    sha256: str = Field(description="what was in it, hexadecimal")
+    file: str = Field(description="path")
+    sha256: str = Field(description="digest of the content, hexadecimal")
 
 
 class Manifest(Params):
-    """What is written down about a run before its first step."""
+    """Description of a run, written before its first step."""
 
     format: Literal["luxloop recording"] = Field("luxloop recording", description="tells recordings from other directories")
     format_version: Literal[1] = Field(FORMAT_VERSION, description="version of the recording's files")
     status: Literal["running", "complete", "interrupted", "failed"] = Field(
-        "running", description="running for ever: the process was killed"
+        "running", description="if still running after the end, the process was killed"
     )
     scenario: dict[str, Any] = Field(description="the scenario with all defaults and --set options")
     scenario_sha256: str = Field(description="digest of the scenario as JSON with sorted keys")
@@ -68,7 +68,7 @@ class Manifest(Params):
 
     @classmethod
     def of(cls, scenario: Scenario, renderer: str, device: torch.device) -> "Manifest":
-        """The manifest of a run that starts now; renderer: name of the face source. Raises LuxloopError where an input file is missing."""
+        """The manifest of a run that starts now. renderer: name of the face source. Raises LuxloopError where an input file is missing."""
         return cls(
             scenario=scenario.model_dump(mode="json"),
             scenario_sha256=scenario.digest,
@@ -104,24 +104,24 @@ class Manifest(Params):
             raise LuxloopError(f"{file}: damaged, {sentences(error, cls, '`luxloop run` writes it')[0]}; record the run again") from error
 
     def write(self, directory: Path) -> None:
-        """Write to the recording's directory, whole or not at all."""
+        """Write the manifest to a recording's directory, whole or not at all."""
         write_json(directory / MANIFEST, self.model_dump(mode="json"))
 
     def finish(self, status: str, directory: Path) -> "Manifest":
-        """The same with another status, and written so. Raises LuxloopError where that cannot be."""
+        """Write and return the manifest with another status. Raises LuxloopError where it cannot be written."""
         manifest = self.model_copy(update={"status": status})
         manifest.write(directory)
         return manifest
 
     def fail(self, directory: Path) -> None:
-        """Write into the file of this manifest that the run has failed: in place, for a full disk has no room for another file."""
+        """Set the status in the manifest's file to failed, in place, since a full disk has no room for another file."""
         here = f'"status": "{self.status}"'.encode()
         with (directory / MANIFEST).open("r+b") as stream:
             stream.seek(stream.read().index(here))
             stream.write(b'"status": "failed"'.ljust(len(here)))
 
     def changes(self, now: "Manifest") -> Iterator[str]:
-        """What is no longer as it was when this was recorded, a sentence each."""
+        """Changes since the recording, a sentence each. now: manifest of the same scenario today."""
         text = json.dumps(self.scenario, sort_keys=True)
         if hashlib.sha256(text.encode()).hexdigest() != self.scenario_sha256:
             yield "the scenario in the manifest was edited after the recording"
@@ -142,8 +142,9 @@ def write_json(file: Path, value: Any) -> None:
 
 
 def input_files(scenario: Scenario) -> Iterator[tuple[str, Path]]:
-    """Files that decide a run beside the scenario and luxloop's code, by the key that names them: symbols, roads, meshes, lamps and what
-    their descriptions name, detectors, and modules of one's own with what they import from beside them."""
+    """Input files of a run, each after the key that names it: symbols, roads, meshes, lamps with the files of their descriptions,
+    detectors, and the user's own modules with the modules that they import.
+    """
     if isinstance(scenario.plant, RecordedPlantParams):
         yield "plant.folder", Path(scenario.plant.folder) / TABLE
     for name, function in scenario.functions.items():
@@ -183,7 +184,7 @@ def sha256(file: Path) -> str:
 
 
 def table_of(rows: list[dict[str, Any]], schema: pa.Schema) -> pa.Table:
-    """Rows as a table; NaN becomes null, and so does what a row lacks."""
+    """Rows as a table; NaN and missing values become null."""
     columns = [pa.array([r.get(field.name) for r in rows], field.type, from_pandas=True) for field in schema]
     return pa.Table.from_arrays(columns, schema=schema)
 

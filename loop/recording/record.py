@@ -1,4 +1,4 @@
-"""Recordings of lighting functions: a row a step with the lamps' power and the light on every tracked object."""
+"""Rows of a recording, one a step: lamps, objects, lighting functions and symbols; and the schema of their columns."""
 
 import math
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import pyarrow as pa
 import torch
 
-from luxloop.loop.recording.checks import lights, refuse_unknown
+from luxloop.loop.recording.checks import baselines, refuse_unknown
 from luxloop.loop.simulation.columns import AIM, CENTROIDS, CUT, ERRORS, LOOKING_OF_TRUTH, POSE, SYMBOL, loss_name
 from luxloop.loop.simulation.commanded import moved
 from luxloop.loop.simulation.evaluator import Evaluation, SymbolStep
@@ -15,13 +15,13 @@ from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.metrics import Metrics
 from luxloop.world.errors import locate
 
-# of columns by the last part of their names; all others are numbers with a point
+# by the last part of a column's name; all other columns are float64
 TYPES = {
     **dict.fromkeys(("step", "primitives", "detections", "false_positives", "tracks", "pixels", "track"), pa.int64()),
     **dict.fromkeys(("beam", "loss"), pa.string()),
     "masked": pa.bool_(),
 }
-# name: (unit, description); lamps and objects have columns of their own.
+# name: (unit, description)
 STEP = {
     "step": ("1", "control step, from 0"),
     "time_s": ("s", "time since the scenario's start"),
@@ -108,12 +108,12 @@ LOOKED_AT = {
 
 
 def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
-    """Columns of a simulation's recording: `lamp.left.flux_lm`, `objects.NAME.lx_max`, `modules.left hires.level_deg`.
+    """Columns of a simulation's recording, such as `lamp.left.flux_lm`, `objects.NAME.lx_max`, `modules.left hires.level_deg`.
 
-    detects: as they were with a detector.
+    detects: whether the columns of a detector are added to those of a simulation without one.
     """
     sides = dict.fromkeys(module.side for module in simulation.modules)
-    tracked, looks = simulation.recorded_ids, detects or simulation.pipeline is not None
+    looks = detects or simulation.pipeline is not None
     held = bool(simulation.controlled)  # so that a step has exposures of different light
     observed = any(getattr(function, "observer", None) for function in simulation.scenario.functions.values())
     columns = STEP | (CONTROL if held else {}) | (OBSERVED if observed else {})
@@ -123,7 +123,7 @@ def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
         looking = LOOKING | (EYES_PEAK if held else {})
         columns |= {key: of for key, of in looking.items() if simulation.truth is not None or key not in LOOKING_OF_TRUTH}
     of_object = OBJECT | (OBJECT_PEAK if held else {}) | (LOOKED_AT if looks else {})
-    columns |= {f"objects.{name}.{key}": of for name in tracked for key, of in of_object.items()}
+    columns |= {f"objects.{name}.{key}": of for name in simulation.recorded_ids for key, of in of_object.items()}
     columns |= {f"functions.{name}.{key}": of for name in simulation.controlled for key, of in SYMBOL.items()}
     columns |= {f"modules.{module}.{key}": MODULE[key] for module, key in moved(simulation.planner, simulation.modules)}
     zones = [name for name, function in simulation.scenario.functions.items() if function.kind == "zone"]
@@ -131,7 +131,7 @@ def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
     for name, quantity in quantities(simulation.scenario.functions).items():
         unit, what = MATERIAL[quantity]
         columns |= {
-            f"functions.{name}.{quantity}": (unit, f"median {what} of its pixels where it is asked for; empty out of sight"),
+            f"functions.{name}.{quantity}": (unit, f"median {what} of its pixels where a value is wanted; empty out of sight"),
             f"functions.{name}.wanted": (unit, f"{what} wanted"),
         }
     return pa.schema(
@@ -141,7 +141,7 @@ def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
 
 
 def row(result: Evaluation) -> dict[str, Any]:
-    """A step as plain values by the names of its schema's columns."""
+    """Plain values of a step by column of `schema`."""
     base, primitives = result.plan.base, result.plan.primitives
     values: dict[str, Any] = {
         "step": result.step,
@@ -160,13 +160,13 @@ def row(result: Evaluation) -> dict[str, Any]:
     powers = result.powers.values()
     values |= {"base_share": base.share, "flux_lm": sum(each.flux_lm for each in powers), "power_w": sum(each.watts for each in powers)}
     for side, power in result.powers.items():
-        given = power.flux_lm, power.share, power.factor, power.flux_lm_peak
-        values |= {f"lamp.{side}.{key}": value for key, value in zip(LAMP | LAMP_PEAK, given, strict=True)}
+        figures = power.flux_lm, power.share, power.factor, power.flux_lm_peak
+        values |= {f"lamp.{side}.{key}": value for key, value in zip(LAMP | LAMP_PEAK, figures, strict=True)}
     for name, each in result.objects.items():
         values |= {f"objects.{name}.{key}": getattr(each, key) for key in OBJECT | OBJECT_PEAK}
     for name, held in result.held.items():
         values |= {f"functions.{name}.{key}": value for key, value in of_symbol(held).items()}
-    for (name, _), command in zip(result.now.lights, result.now.commands, strict=False):  # of none where all are at rest
+    for (name, _), command in zip(result.now.lights, result.now.commands, strict=False):  # no commands where all modules are at rest
         values |= {f"modules.{name}.{key}": getattr(command, key) for key in MODULE}
     for name, zone in result.zones.items():
         values |= {f"functions.{name}.{key}": getattr(zone, key) for key in ZONE}
@@ -184,20 +184,20 @@ def row(result: Evaluation) -> dict[str, Any]:
 
 
 def of_symbol(held: SymbolStep) -> dict[str, Any]:
-    """What is recorded of one symbol in a step, by the names of SYMBOL."""
-    metrics, seen = held.metrics or NO_METRICS, held.measurement
+    """Plain values of one symbol in a step, by column of `SYMBOL`."""
+    metrics, measurement = held.metrics or NO_METRICS, held.measurement
     tensors = {
         POSE: held.pose,
         ("z_m",): held.z,
-        ERRORS: seen.errors,
-        tuple(f"pose_error_{name}" for name in POSE): seen.pose_error,
-        CENTROIDS: seen.appearance.centroids,
-        ("area_ratio",): seen.area_ratio,
+        ERRORS: measurement.errors,
+        tuple(f"pose_error_{name}" for name in POSE): measurement.pose_error,
+        CENTROIDS: measurement.appearance.centroids,
+        ("area_ratio",): measurement.area_ratio,
         ("centroid_error_x_percent", "centroid_error_y_percent"): metrics.centroid_percent,
         ("iou", "ssim", "length", "shear"): torch.stack([metrics.iou, metrics.ssim, metrics.length, metrics.shear]),
         CUT: held.cut,
         AIM: held.aim,
-        ("code",): seen.code,
+        ("code",): measurement.code,
     }
     host = torch.cat([tensor.flatten().double() for tensor in tensors.values()]).tolist()
     names = [name for names in tensors for name in names]
@@ -206,9 +206,9 @@ def of_symbol(held: SymbolStep) -> dict[str, Any]:
 
 
 def refuse_unknown_columns(simulation: Simulation) -> None:
-    """Raises LuxloopError where a check names a column or light that is not there, or that the plant does not know."""
+    """Raises LuxloopError where a check names a missing column or baseline, or one that the plant does not know."""
     scenario = simulation.scenario
     with locate(scenario.source):
-        others = {*LEARNING}.union(*(schema(simulation.lit_by(light)).names for light in lights(scenario.checks)))
-        compared = others - {"dark_lx_max", "road_lx_ratio_max"}  # under another light nothing must be dark
+        others = {*LEARNING}.union(*(schema(simulation.lit_by(light)).names for light in baselines(scenario.checks)))
+        compared = others - {"dark_lx_max", "road_lx_ratio_max"}  # under a baseline's light nothing must be dark
         refuse_unknown(scenario.checks, schema(simulation), compared, schema(simulation, detects=True).names)

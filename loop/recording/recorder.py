@@ -1,6 +1,5 @@
-"""Records a run into a directory, readable at whatever moment the process dies."""
+"""Records a run into a directory whose files can be read even if the process is killed."""
 
-import math
 import tempfile
 import time
 from collections.abc import Callable
@@ -11,27 +10,29 @@ from typing import Any, Self
 
 import pyarrow as pa
 
-from luxloop.loop.recording.frames import FrameRecorder, ShadowTally
+from luxloop.loop.recording.frames import FrameRecorder, elsewhere
 from luxloop.loop.recording.functions_summary import summary_of
 from luxloop.loop.recording.labels import PATTERNS as LABEL_FILES
 from luxloop.loop.recording.labels import LabelRecorder, Labels
 from luxloop.loop.recording.manifest import EDITS, FILES, SUMMARY, TRAJECTORY, Manifest, table_of, write_json, write_table
 from luxloop.loop.recording.record import row, schema
+from luxloop.loop.recording.summary import finite
 from luxloop.loop.scenario.edits import Edit, add
 from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.frames import PATTERNS as FRAME_FILES
+from luxloop.loop.simulation.result import Lights
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import writing
 
 FOLDED = 256  # rows as Python's values, which take ten times the memory of the table
-REST = 10  # times what a write takes pass between two: recording costs a tenth at most, and a kill the last 50 ms or so
+REST = 10  # pause between two writes, as a multiple of a write's time: recording costs a tenth at most, and a kill the last 50 ms or so
 
 
 class Tally:
-    """Rows of a run's steps, and what its summary needs beside them. edits: while it ran, in their order."""
+    """Rows of a run's steps, and the rest that its summary needs. edits: of the scenario during the run, in order."""
 
     def __init__(self, simulation: Simulation) -> None:
         self.first = self.simulation = simulation
@@ -39,33 +40,39 @@ class Tally:
         self._idle, self._waiting = set(simulation.scenario.functions), set(simulation.scenario.functions)
         self._last = dict[str, Evaluation]()
         self._covered, self._findable = dict[str, Evaluation](), set[str]()
-        self._shadow = None if shadow_of(simulation.scenario.plant) is None else ShadowTally()
-        self._asked, self._came = set[int](), list[int]()  # numbers of exposures, and of frames with an image
+        self._in_shadow, self._own_lights, self._elsewhere = (
+            shadow_of(simulation.scenario.plant) is not None,
+            dict[int, Lights](),
+            list[float](),
+        )
+        self._exposures, self._images = set[int](), list[int]()  # numbers of exposures, and of frames with an image
         self._written = schema(simulation).empty_table()
         self._fresh: list[dict[str, Any]] = []
 
     def add(self, result: Evaluation) -> dict[str, Any]:
-        """Take a step. Returns its row."""
+        """Add a step; returns its row."""
         added = row(result)
         if self._idle:
             self._idle &= self.simulation.idle(result)
-        if self._waiting:
-            self._waiting &= self.simulation.waiting(result)
+        self._waiting &= self.simulation.waiting(result)
         self._last |= dict.fromkeys(result.held, result)
         self._covered |= {name: result for name, each in result.held.items() if each.measurement.code == ExtractionStatus.COVERED}
         if result.look is not None:
             self._findable |= {name for name, each in result.look.recognised.items() if each.findable}
-        if self._shadow is not None:
-            self._shadow.add(result.reception)
-        self._asked |= {each.number for each in result.exposures}
-        self._came += [frame.number for frame in result.reception.frames if frame.image is not None]
+        self._own_lights |= {each.number: each.lights for each in result.exposures} if self._in_shadow else {}
+        for frame in result.reception.frames:
+            own = self._own_lights.pop(frame.number, None)
+            if own is not None and frame.shown is not None:
+                self._elsewhere.append(elsewhere(own, frame.shown.lights))
+        self._exposures |= {each.number for each in result.exposures}
+        self._images += [frame.number for frame in result.reception.frames if frame.image is not None]
         self._fresh.append(added)
         if len(self._fresh) >= FOLDED:
             self._fold()
         return added
 
     def edit(self, simulation: Simulation, edit: Edit) -> None:
-        """The run goes on with an edited simulation, whose columns join those there are."""
+        """Continue with an edited simulation, whose columns are added to the table."""
         fresh = simulation.scenario.functions.keys() - self.simulation.scenario.functions.keys()
         self._idle, self._waiting = self._idle | fresh, self._waiting | fresh
         if not edit.driven:
@@ -75,7 +82,7 @@ class Tally:
         add(self.edits, edit)
 
     def table(self) -> pa.Table:
-        """All steps so far."""
+        """Rows of all steps so far."""
         self._fold()
         self._written = self._written.combine_chunks()
         return self._written
@@ -86,38 +93,30 @@ class Tally:
             self._fresh = []
 
     def summary(self, checked: Callable[[pa.Table], dict[str, Any]] | None = None) -> dict[str, Any]:
-        """The steps in a few numbers. checked: what has come of checks, by name."""
+        """Summary of the steps so far. checked: gives the outcomes of checks, by name."""
         functions = sorted(self.simulation.scenario.functions.items())
         idle = [f"functions.{name} ({each.kind})" for name, each in functions if name in self._idle - self._waiting]
-        checks = {} if checked is None else checked(self.table())
-        fitting = sum(number in self._asked for number in self._came)
-        frames = {"asked": len(self._asked), "came": fitting, "unknown": len(self._came) - fitting}
-        sees = self.simulation.pipeline is not None or self.simulation.planner.adaptive or self.simulation.controlled
-        looks = {"frames": frames} if sees else {}
         summary = summary_of(self.simulation, self.table(), self._last, self._covered)
-        summary |= {} if self._shadow is None else {"shadow": self._shadow.summary()}
+        if self._in_shadow:
+            differ, count = sum(share > 0 for share in self._elsewhere), len(self._elsewhere)
+            summary["shadow"] = {"exposures": count, "differ": differ, "elsewhere": sum(self._elsewhere) / count if count else None}
         if self.simulation.pipeline is not None:
             for name, each in summary["objects"].items():
                 each["findable"] = name in self._findable
-        told: dict[str, Any] = _finite(summary | looks | {"idle_functions": idle, "checks": checks})
-        return told
-
-
-def _finite(value: Any) -> Any:
-    """The same with None in place of numbers that are not finite, as of what an edit took away."""
-    if isinstance(value, dict):
-        return {key: _finite(each) for key, each in value.items()}
-    if isinstance(value, list):
-        return [_finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        if self.simulation.pipeline is not None or self.simulation.planner.adaptive or self.simulation.controlled:
+            known = sum(number in self._exposures for number in self._images)
+            summary["frames"] = {"asked": len(self._exposures), "came": known, "unknown": len(self._images) - known}
+        summary |= {"idle_functions": idle, "checks": {} if checked is None else checked(self.table())}
+        finished: dict[str, Any] = finite(summary)
+        return finished
 
 
 class Recorder:
     """Records a run into a directory; use it in a `with` statement and `add` every step.
 
-    The first step begins the recording: until then the directory stays as it is, also where it holds an older one. Leaving the block
-    finishes it, as interrupted after Ctrl-C and as failed after an error, and writes summary and report; `summary` is
-    empty until then. Where that fails after an error, the first error is raised.
+    The first step begins the recording and replaces an older recording in the directory. Leaving the block writes summary and report, and
+    marks the recording as complete, as interrupted after Ctrl-C, or as failed after an error, which is then raised; `summary` is empty
+    until then.
     """
 
     def __init__(
@@ -129,11 +128,11 @@ class Recorder:
         frames: bool = False,
         labels: Labels | None = None,
     ) -> None:
-        """run: a simulation, or a run of one so far, whose steps are recorded as well. report: draws what the table and the summary of the
-        run say. checked: what has come of its checks, by name. frames: whether to keep them. labels: of frames, which are kept then.
+        """run: a simulation, or the tally of a run so far, whose steps are recorded as well. report: draws the report of table and summary.
+        checked: gives the outcomes of checks, by name. frames: whether frames are recorded. labels: recorded with the frames.
 
-        Raises LuxloopError if the directory holds something else than a recording, or cannot be written, or an input file not be read, and
-        of labels where the plant does not know the truth.
+        Raises LuxloopError if the directory holds anything but a recording, or cannot be written, if an input file cannot be read, and for
+        labels where the plant does not know the truth.
         """
         self.directory, self.tally, self._report, self._checked = directory, run if isinstance(run, Tally) else Tally(run), report, checked
         first = self.tally.first
@@ -141,7 +140,10 @@ class Recorder:
         kept = FrameRecorder(directory, first.scenario.camera.bits)
         self._kept: list[FrameRecorder | LabelRecorder] = [kept] if frames or labels is not None else []
         if labels is not None:
-            self._kept.append(LabelRecorder(directory, labels.of(first.truth, first.scenario.plant.kind), labels, kept))
+            if first.truth is None:
+                why = f"the plant {first.scenario.plant.kind!r} does not know what is true"
+                raise LuxloopError(f'--labels {labels.layout}: {why}; set plant.kind = "simulated", or leave it out')
+            self._kept.append(LabelRecorder(directory, first.truth, labels, kept))
         self._next_write_s = 0.0
         self._begun, self._edits_written = False, list[Edit]()
         self.summary = dict[str, Any]()
@@ -151,7 +153,7 @@ class Recorder:
         return self
 
     def add(self, result: Evaluation) -> dict[str, Any]:
-        """Record a step. Returns its row. Raises LuxloopError if the directory can no longer be written."""
+        """Record a step; returns its row. Raises LuxloopError if the directory can no longer be written."""
         added = self.tally.add(result)
         self.begin()
         for each in self._kept:
@@ -161,13 +163,13 @@ class Recorder:
         return added
 
     def edit(self, simulation: Simulation, edit: Edit) -> None:
-        """The run goes on with an edited simulation. Raises LuxloopError if the directory can no longer be written."""
+        """Continue with an edited simulation. Raises LuxloopError if the directory can no longer be written."""
         self.tally.edit(simulation, edit)
-        if self._begun and not edit.driven:  # those come with the rows
+        if self._begun and not edit.driven:  # edits by the driver are written with the rows
             self._write_edits()
 
     def table(self) -> pa.Table:
-        """All steps so far."""
+        """Rows of all steps so far."""
         return self.tally.table()
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
@@ -188,7 +190,7 @@ class Recorder:
                 raise
 
     def begin(self) -> None:
-        """Make the directory, remove an old recording, its manifest last, and write the new one's, unless that is done."""
+        """Make the directory, replace an old recording, and write the manifest, unless the recording has begun."""
         if self._begun:
             return
         with writing(self.directory):
@@ -206,7 +208,7 @@ class Recorder:
             write_json(self.directory / EDITS, [each.model_dump(mode="json") for each in self.tally.edits])
 
     def _write_trajectory(self) -> None:
-        start = time.thread_time()  # a busy machine makes writes last, but not rarer
+        start = time.thread_time()  # not the wall clock, by which a busy machine would make writes rarer
         self._write_edits()
         for each in self._kept:
             each.write()
@@ -215,7 +217,7 @@ class Recorder:
 
 
 def _remove(directory: Path) -> None:
-    """Remove the files of a recording, if there are any, and nothing else. Raises OSError where that cannot be."""
+    """Remove the files of a recording, its manifest last, and nothing else. Raises OSError where a file cannot be removed."""
     for name, patterns in (FRAME_FILES | dict(reversed(LABEL_FILES.items()))).items():
         folder = directory / name
         if folder.is_symlink():
@@ -230,7 +232,7 @@ def _remove(directory: Path) -> None:
 
 
 def refuse_foreign(directory: Path) -> None:
-    """Raises LuxloopError where the directory holds something else than a recording, or cannot be written."""
+    """Raises LuxloopError where the directory holds anything but a recording, or cannot be written."""
     with writing(directory):
         with tempfile.TemporaryFile(dir=next(each for each in (directory, *directory.parents) if each.exists())):
             pass

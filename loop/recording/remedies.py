@@ -1,31 +1,31 @@
-"""What went wrong with a symbol that is held, and the key that helps, in a sentence each."""
+"""Causes and remedies of symbols that do not reach their targets, a sentence each."""
 
 from collections.abc import Mapping
 
 from luxloop.loop.recording.summary import FINAL, OFF_PERCENT, Summary
 
-CUT = 0.02  # of a symbol; less than that costs no more IoU than two runs may differ by in docs/results/symbol_control.md
-PLANE_M = 0.2  # roads nearer to the plane of the ground are drawn for on it
+CUT = 0.02  # share of a symbol that is cut without effect: it costs no more IoU than the spread of runs in docs/results/symbol_control.md
+PLANE_M = 0.2  # height above the ground plane from which on a remedy names it
 SHADOW = "in shadow of"
-SHORT = 40  # steps, as the shipped scenarios have: thesis_pid still moves after 20 that began 40 m ahead, and settles in 40
+SHORT = 40  # steps of the shipped scenarios: thesis_pid, started 40 m ahead, still moves after 20 steps and settles within 40
 AT_ONCE = ("open", "feedforward", "luxloop")  # controllers that show the symbol at its target, wherever it starts
-BORDERS = {  # and what brings a symbol back into the field
+BORDERS = {  # of the field: name and remedy
     **{side: (side, "bring NAME.y_m nearer to 0") for side in ("left", "right")},
     **{"top": ("upper", "lower NAME.x_m"), "bottom": ("lower", "raise NAME.x_m")},
 }
 
 
 def of_frames(frames: dict[str, int]) -> list[str]:
-    """What is wrong with the frames of a run, by their part of its summary; empty where nothing is."""
-    mend = "give each frame the number of its exposure, exposure.number, and test the plant with luxloop.check_plant"
+    """What is wrong with the frames of a run, by their part of the summary; empty if nothing is."""
+    numbers = "give each frame the number of its exposure, exposure.number, and test the plant with luxloop.check_plant"
     late = "raise steps if frames are late, lower camera.drop_probability, or test your own plant with luxloop.check_plant"
     if frames["unknown"]:
-        return [f"{frames['unknown']} frames belong to no shown exposure and were ignored; {mend}"]
+        return [f"{frames['unknown']} frames belong to no shown exposure and were ignored; {numbers}"]
     return [] if frames["came"] else [f"no frame arrived for any of the {frames['asked']} exposures; {late}"]
 
 
 def why_no_metrics(values: Summary) -> str | None:
-    """Why nobody says how a symbol lies, by its summary; None where somebody does."""
+    """Why a symbol was not evaluated, by its summary; None where it was."""
     match values["unsettled"]:
         case "not_shown":
             return "never shown"
@@ -37,7 +37,7 @@ def why_no_metrics(values: Summary) -> str | None:
 
 
 def remedies(name: str, values: Summary) -> list[str]:
-    """Of the symbol of a name and its summary (`luxloop.loop.recording.summary.summarise`); empty where nothing went wrong."""
+    """Causes and remedies for a symbol by its summary (`luxloop.loop.recording.summary.summarise`); empty if nothing went wrong."""
     return [each.replace("NAME", f"functions.{name}") for each in _remedies(values)]
 
 
@@ -56,7 +56,7 @@ def _remedies(values: Summary) -> list[str]:
 
 
 def of_target(name: str, shares: Mapping[str, float]) -> list[str]:
-    """Of the target of a symbol, and what shares of it lie beyond each border of the lamps' field; empty where that is next to nothing."""
+    """Cause and remedy for a target beyond the lamps' field; empty for a negligible share. shares: of the target beyond each border."""
     cut, side = sum(shares.values()), max(shares, key=shares.__getitem__)
     return [_cut("the target of NAME", cut, side).replace("NAME", f"functions.{name}")] if cut > CUT else []
 
@@ -67,7 +67,7 @@ def _cut(what: str, share: float, side: str) -> str:
 
 
 def _astray(values: Summary) -> bool:
-    """Whether the symbol is not at its target at the end, where it may move, on the mean."""
+    """Whether the symbol is off its target at the end, a moving symbol by its mean error."""
     why, off = values["unsettled"], values["centroid_error_percent"]
     return why in ("lost", "off_target") or (why == "moving" and max(map(abs, off)) > OFF_PERCENT)
 
@@ -124,7 +124,7 @@ def _off_plane(height_m: float, form: str) -> str:
 
 
 def _of_controller(name: str) -> str:
-    """The remedy for a symbol that does not lie right, by controller."""
+    """Remedy by controller for a symbol that is off its target."""
     match name:
         case "luxloop":
             return "lower NAME.x_m, since a nearer symbol is brighter and less sensitive to the road's height"

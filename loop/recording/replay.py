@@ -1,4 +1,4 @@
-"""Recordings read back, run again with their edits and held against the recording, or written as CSV; runs that go on with other values."""
+"""Loads recordings, replays them with their edits and compares the results, writes them as CSV; edits a running simulation."""
 
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -36,10 +36,10 @@ def apply_edit(
 ) -> tuple[Simulation, SimulationState]:
     """The simulation with another scenario, and its state before the next step.
 
-    state: after the last step, which a simulation of `reached_by` has done; None where that is this one's. So edits between two steps act
-    as one, whatever came between them.
-    Functions and controllers of the same kind whose state still fits go on from it; others start. Frames under way show what was there
-    when they were taken. Raises LuxloopError as `luxloop.loop.run.prepare`, and where the scenario needs a simulation that starts anew.
+    state: after the last step. reached_by: scenario of the simulation that did the last step, by default the simulation's own; so several
+    edits between two steps act as one. Functions and controllers keep their states if their kinds and the shapes of their states are the
+    same, others start anew. Frames in transit show the scene at their exposures. Raises LuxloopError as `luxloop.loop.run.prepare`, and
+    where the scenario needs a simulation that starts anew.
     """
     reached_by = reached_by or simulation.scenario
     if acts(simulation.scenario, scenario) == "restart":
@@ -49,7 +49,7 @@ def apply_edit(
         return driven, state
     after = driven or Simulation.prepare(scenario, simulation.device, simulation)
     if scenario.plant.kind != "simulated":
-        after = replace(after, plant=simulation.plant)  # which may hold a connection or devices
+        after = replace(after, plant=simulation.plant)  # it may hold a connection or devices
     if (scenario.checks, scenario.functions) != (simulation.scenario.checks, simulation.scenario.functions):
         refuse_unknown_columns(after)
     symbols = {name: each.start() for name, each in after.controlled.items()}
@@ -64,14 +64,14 @@ def _continue_states(fresh: Mapping[str, Any], old: Mapping[str, Any], same: Col
 
 
 def _alike(a: Any, b: Any) -> bool:
-    """Whether parameters are of the same variants, all tables in them as well."""
+    """Whether two values of parameters are of the same variant, with all tables in them."""
     if not (isinstance(a, BaseModel) or isinstance(b, BaseModel)):
         return True
     return type(a) is type(b) and all(each == getattr(b, key) if key in TAGS else _alike(each, getattr(b, key)) for key, each in a)
 
 
 def _fits(old: Any, fresh: Any) -> bool:
-    """Whether a state has the form of a fresh one: what is unknown at first, None, may have become known."""
+    """Whether a state has the types and shapes of a fresh one; None, for values unknown at first, fits any."""
     if fresh is None or old is None:
         return True
     if type(old) is not type(fresh):
@@ -79,14 +79,12 @@ def _fits(old: Any, fresh: Any) -> bool:
     if isinstance(old, Tensor):
         return old.shape == fresh.shape
     if is_dataclass(old):
-        return all(_fits(getattr(old, each.name), getattr(fresh, each.name)) for each in fields(old))
-    if isinstance(old, tuple) and len(old) == len(fresh):
-        return all(_fits(*pair) for pair in zip(old, fresh, strict=True))
-    return True
+        old, fresh = (tuple(getattr(state, each.name) for each in fields(old)) for state in (old, fresh))
+    return not isinstance(old, tuple) or len(old) != len(fresh) or all(map(_fits, old, fresh))
 
 
 def continue_course(simulation: Simulation, scenario: Scenario) -> Simulation | None:
-    """The simulation with another scenario, where that has another course of a vehicle that roams, or other steps, and nothing else."""
+    """The simulation with a scenario that differs only in the course of a driven vehicle and in the number of steps; None for any other."""
     before, plant = simulation.scenario, simulation.plant
     if before.vehicle is None or scenario.vehicle is None or not scenario.vehicle.roams or not isinstance(plant, SimulatedPlant):
         return None
@@ -105,7 +103,7 @@ def continue_course(simulation: Simulation, scenario: Scenario) -> Simulation | 
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording as it was read: its manifest, the scenario in it, the table of its steps, and the edits while it ran."""
+    """A recording: manifest, scenario, table of the steps, and edits during the run."""
 
     manifest: Manifest
     scenario: Scenario
@@ -117,7 +115,7 @@ EDIT_LIST: Final = TypeAdapter(tuple[Edit, ...])
 
 
 def load(directory: Path) -> Recording:
-    """Read a recording. Raises LuxloopError where it is none, damaged, or written by a newer luxloop."""
+    """Read a recording. Raises LuxloopError where the directory is none, is damaged, or was written by a newer luxloop."""
     manifest = Manifest.read(directory)
     scenario = validate(manifest.scenario, f"{directory}/manifest.json: scenario")
     return Recording(manifest, scenario, read_parquet(directory / TRAJECTORY), _edits(directory / EDITS))
@@ -131,7 +129,7 @@ def _edits(file: Path) -> tuple[Edit, ...]:
 
 
 def refuse_foreign(directory: Path, scenario: Scenario, edits: Iterable[Edit]) -> None:
-    """Raises LuxloopError where the scenario of a recording, or an edit of it, names a module of Python."""
+    """Raises LuxloopError where the scenario of a recording, or one of its edits, names a Python module."""
     refuse_code(scenario, str(directory / MANIFEST))
     for edit in edits:
         scenario = repeat(scenario, edit)
@@ -140,7 +138,7 @@ def refuse_foreign(directory: Path, scenario: Scenario, edits: Iterable[Edit]) -
 
 
 def rerun(recording: Recording, simulation: Simulation) -> Iterator[tuple[Simulation, Evaluation]]:
-    """The steps of a recording once more, each with the simulation that made it. simulation: of its scenario.
+    """Run the steps of a recording again; yields each with the simulation that did it. simulation: of the recording's scenario.
 
     Modules that edits name run. Raises LuxloopError where an edit cannot be repeated.
     """
@@ -162,11 +160,10 @@ def replay(
     *,
     allow_code: bool = False,
 ) -> Comparison:
-    """Run the scenario of a recording again, with its edits, for as many steps as it has, and compare.
+    """Run a recording again with its edits, and compare the steps.
 
-    device: that of the recording if None, or the CPU where there is no such device. on_step: called after every step. allow_code: whether
-    modules that the manifest or edits name may run.
-    Raises LuxloopError where the recording is damaged or an input file is missing.
+    device: by default the recording's, or the CPU where there is no such device. on_step: called after every step. allow_code: whether
+    modules that the manifest or edits name may run. Raises LuxloopError where the recording is damaged or an input file is missing.
     """
     recording = load(directory)
     manifest, scenario = recording.manifest, recording.scenario
@@ -179,20 +176,20 @@ def replay(
     columns = schema(simulation)
     columns_of(recording.table, columns, directory / TRAJECTORY)
     notes = manifest.changes(Manifest.of(scenario, simulation.renderer, simulation.device))
-    held = dict[str, FeatureParams]()
+    features = dict[str, FeatureParams]()
     rows = []
-    for made_by, result in rerun(recording, simulation):
-        held |= {name: symbol.function.features for name, symbol in made_by.controlled.items()}
-        columns = pa.unify_schemas([columns, schema(made_by)])
-        known = set(columns.names)  # so far: columns that an edit brings begin with it
+    for edited, result in rerun(recording, simulation):
+        features |= {name: symbol.function.features for name, symbol in edited.controlled.items()}
+        columns = pa.unify_schemas([columns, schema(edited)])
+        known = set(columns.names)  # columns that an edit adds begin with the edit
         rows.append({name: value for name, value in row(result).items() if name in known})
         on_step(result)
     recorded = columns_of(recording.table, columns, directory / TRAJECTORY)
-    return Comparison(len(rows), compare(recorded, table_of(rows, columns), held), tuple(notes))
+    return Comparison(len(rows), compare(recorded, table_of(rows, columns), features), tuple(notes))
 
 
 def columns_of(table: pa.Table, columns: pa.Schema, file: Path) -> pa.Table:
-    """The columns of a recording and no others. Raises LuxloopError where one is missing or not of its type."""
+    """Selected columns of a recording. Raises LuxloopError where one is missing or has another type."""
     if missing := [name for name in columns.names if name not in table.column_names]:
         raise LuxloopError(f"{file}: the column {missing[0]!r} is missing; record the run again")
     try:
@@ -203,7 +200,8 @@ def columns_of(table: pa.Table, columns: pa.Schema, file: Path) -> pa.Table:
 
 
 def to_csv(directory: Path, file: Path) -> None:
-    """Write a recording's steps as CSV, whole or not at all; missing values are empty fields. Raises LuxloopError where it cannot."""
+    """Write a recording's steps as CSV, whole or not at all; null is an empty field. Raises LuxloopError where the file cannot be written.
+    """
     table = load(directory).table
     with whole(file) as part:
         pyarrow.csv.write_csv(table, part)

@@ -1,4 +1,4 @@
-"""Code that decides a run: the files of modules of the user's own, and the digest of luxloop's."""
+"""Code that decides a run: source files of the user's own modules, and the digest of luxloop's code."""
 
 import ast
 import hashlib
@@ -15,17 +15,17 @@ from pathlib import Path
 from luxloop.world.errors import LuxloopError
 from luxloop.world.plugin import PACKAGE, file_of
 
-OURS = "luxloop"  # which has a version of its own
+OURS = "luxloop"
 PYTHONS_OWN = Path(sysconfig.get_path("stdlib"))
 INSTALLED = {Path(site.getusersitepackages()), *(Path(sysconfig.get_path(kind)) for kind in ("purelib", "platlib"))}
 
 
 def sources_of(module: str, folder: Path | None = None) -> dict[str, Path]:
-    """Files by module, without running any: the module, the packages around it, and all that these import, at their heads or in functions.
+    """Source files by module name: a module, the packages around it, and all modules that these import, found without running any.
 
-    Followed is what lies in the folder, by default that in which Python finds the module; of an installed one, its own package. Empty where
-    there is no such module, or it is Python's own. Raises LuxloopError where a file is not Python. The standard library's modulefinder
-    fails at packages without `__init__.py` and at relative imports that find nothing.
+    Imports are followed within the folder, by default the folder in which Python finds the module; of an installed module, within its own
+    package. Empty for an unknown module and for Python's own. Raises LuxloopError where a file is not Python. The standard library's
+    modulefinder fails at packages without `__init__.py` and at relative imports that find nothing.
     """
     top = module.partition(".")[0]
     folder = folder or _folder_of(top)
@@ -57,7 +57,7 @@ def _folder_of(top: str) -> Path | None:
 
 
 def _imports(file: Path, package: str) -> Iterator[str]:
-    """Names that may be modules."""
+    """Imported names, which may be modules."""
     try:
         tree = ast.parse(file.read_bytes())
     except (SyntaxError, ValueError, OSError) as error:
@@ -66,14 +66,14 @@ def _imports(file: Path, package: str) -> Iterator[str]:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            with suppress(ImportError):  # beyond the top, where Python finds nothing either
+            with suppress(ImportError):  # beyond the top package
                 base = resolve_name("." * node.level + (node.module or ""), package)
                 yield base
                 yield from (f"{base}.{alias.name}" for alias in node.names)
 
 
 LAYERS = ("world", "perception", "controllers", "loop")
-SHOWING = (  # folders and files that decide no figure of a run
+WITHOUT_EFFECT = (  # folders and files that decide no figure of a run
     *("loop/commands/", "loop/report/", "loop/studies/beams.py", "loop/studies/jobs.py"),
     *(f"loop/studies/{folder}/" for folder in ("contracts", "evaluation", "training")),
 )
@@ -81,12 +81,12 @@ SHOWING = (  # folders and files that decide no figure of a run
 
 @cache
 def digest_of_code() -> str:
-    """SHA-256, hexadecimal, of all files of world, perception, controllers and loop, but for those in folders that decide no figure."""
+    """SHA-256, hexadecimal, of all files of world, perception, controllers and loop that decide figures of a run."""
     digest = hashlib.sha256()
     root = Path(str(files("luxloop")))
     for package in LAYERS:
         for path in sorted((root / package).rglob("*")):
             name = path.relative_to(root).as_posix()
-            if path.is_file() and path.suffix != ".pyc" and not name.startswith(SHOWING):
+            if path.is_file() and path.suffix != ".pyc" and not name.startswith(WITHOUT_EFFECT):
                 digest.update(name.encode() + path.read_bytes())
     return digest.hexdigest()

@@ -1,4 +1,4 @@
-"""How a symbol that is held has come to lie, in a few numbers: when it settled, how far it overshot, how well it lies in the end."""
+"""Key figures of a symbol under control: settling, overshoot, and its final overlap with the target."""
 
 import math
 from collections.abc import Sequence
@@ -11,26 +11,26 @@ import pyarrow as pa
 from luxloop.controllers.symbol.sensing.field import SIDES
 
 Summary = dict[str, Any]  # of a run or of a part of it, ready for JSON
-FINAL = 10  # steps whose mean is the final value, and for which a symbol at rest has to stay
-END = 5  # steps whose mean error of the centroid is that at the end
-STEADY = {  # how far from the final value a symbol at rest may be: 2 % of its size and length, 0.02 of shear
+FINAL = 10  # steps: their mean is the final value, and a steady symbol stays near it as long
+END = 5  # steps: their mean is the final error of the centroid
+STEADY = {  # largest deviation of a steady symbol from its final value: 2 % of its size and length, 0.02 of shear
     "centroid_error_x_percent": 2.0,
     "centroid_error_y_percent": 2.0,
     "length": 0.02,
     "shear": 0.02,
 }
 AXES = ("centroid_error_x_percent", "centroid_error_y_percent")
-OFF_PERCENT = 5.0  # a symbol that ends further from the target has not settled there
-LEAST_START_PERCENT = 5.0  # an axis that starts nearer to the target says nothing about overshoot
+OFF_PERCENT = 5.0  # largest final error of a settled symbol
+LEAST_START_PERCENT = 5.0  # least initial error of an axis whose overshoot counts
 
 
 @dataclass(frozen=True)
 class Circumstances:
-    """What a run says of a symbol beside its columns.
+    """Facts of a run that a symbol's columns do not have.
 
-    judge_every: the scenario's, None where the plant does not know the truth. drives: whether the car moves. road_m: height of the road
-    over the plane of the ground where it is farthest from it at the target, NaN where nobody knows. highest_m: largest height that the
-    controller looks for, None where it looks for none.
+    judge_every: the scenario's key, None where the plant does not know the truth. drives: whether the car moves. road_m: largest height of
+    the road above the ground plane at the target, signed, NaN if unknown. highest_m: largest height in the controller's search, None for a
+    controller without one.
     """
 
     judge_every: int | None = 1
@@ -44,17 +44,18 @@ def summarise(
 ) -> Summary:
     """Summary of one symbol's columns (`luxloop.loop.simulation.columns.of_one`), ready for JSON: None where a value does not exist.
 
-    iou_open: IoU of the open loop at the last step, NaN without one. centroid_error_percent: [x, y], signed, mean
-    of the last five steps.
-    unsettled: why there is no settle_step (`settling_failure`). cut: share of the symbol beyond the borders of the lamps' field at the
-    last step, and the side where most of it is. aim: [x, y] in m of where the symbol lies at the last step in place of its target, None
-    for that. iou_mean, iou_min: of the second half of the run. shown_steps: how many show it; in seen_steps frames came that do, in
-    lost_steps frames in which it was not found, of which functions, covered_by, covered it in covered_steps.
+    iou_open: IoU of the open loop at the last step, NaN without one. centroid_error_percent: [x, y], signed, mean of the last five steps.
+    unsettled: why there is no settle_step (`settling_failure`). cut, cut_side: share of the symbol beyond the lamps' field at the last
+    step, and the border with the largest share. aim: place [x, y] in m of the symbol at the last step if that is not its target, else None.
+    iou_mean, iou_min: of the second half of the run. shown_steps: steps that show the symbol; seen_steps: steps with a measurement;
+    lost_steps: steps whose frames lack the symbol; covered_steps: lost steps in which other functions (covered_by) cover the symbol.
     """
-    shown, lain, losses = table.num_rows > 0, steps_with_metrics(table), table["loss"].to_pylist()
+    evaluated, losses = steps_with_metrics(table), table["loss"].to_pylist()
     late = column(table, "iou")[table.num_rows // 2 :]
     late = late[np.isfinite(late)]
-    return {
+    shares = {side: last(table, f"cut_{side}") for side in SIDES}
+    aim = [last(table, axis) for axis in ("aim_x_m", "aim_y_m")]
+    found: Summary = {
         "controller": controller,
         "shown_steps": table.num_rows,
         "seen_steps": losses.count(""),
@@ -64,23 +65,25 @@ def summarise(
         "settle_step": settle_step(table),
         "unsettled": settling_failure(table),
         "steady_step": steady_step(table),
-        "overshoot_percent": None if run.drives else overshoot_percent(table),  # the road itself moves what a car that drives shows
-        "centroid_error_percent": [_number(error) for error in final_error_percent(table)],
-        **_cut(table),
-        "aim": _aim(table),
-        "iou_open": _number(iou_open),
-        "iou_final": _number(column(lain, "iou")[-1]) if lain.num_rows else None,
-        "iou_mean": float(late.mean()) if len(late) else None,
-        "iou_min": float(late.min()) if len(late) else None,
-        "z_m_final": _number(column(table, "z_m")[-1]) if shown else None,
-        "ssim_final": _number(column(lain, "ssim")[-1]) if lain.num_rows else None,
+        "overshoot_percent": None if run.drives else overshoot_percent(table),  # the road moves the symbol of a car that drives
+        "centroid_error_percent": [*final_error_percent(table)],
+        "cut": sum(shares.values()),
+        "cut_side": max(SIDES, key=shares.__getitem__) if sum(shares.values()) > 0 else None,
+        "aim": None if math.isnan(aim[0]) else aim,
+        "iou_open": iou_open,
+        "iou_final": last(evaluated, "iou"),
+        "iou_mean": late.mean() if len(late) else None,
+        "iou_min": late.min(initial=math.inf),
+        "z_m_final": last(table, "z_m"),
+        "ssim_final": last(evaluated, "ssim"),
         **asdict(run),
-        "road_m": _number(run.road_m),
     }
+    finished: Summary = finite(found)
+    return finished
 
 
 def steps_with_metrics(table: pa.Table) -> pa.Table:
-    """The steps of a table that were evaluated."""
+    """Rows of the evaluated steps."""
     return table.filter(table["iou"].is_valid())
 
 
@@ -92,15 +95,17 @@ def settle_step(table: pa.Table) -> int | None:
 def settling_failure(table: pa.Table) -> str | None:
     """Why the symbol has not settled on the target; None where it has.
 
-    not_shown: in no step. not_judged: no step was evaluated. too_short: fewer than ten steps. lost: not seen in most of the last ten;
-    no_frame: as most of their frames were missing; covered: as other functions took most of it. moving: lit, but not steady. off_target:
-    nothing lit at the target, or more than 5 % of the symbol's length or width off (mean of the last five steps).
+    not_shown: in no step. not_judged: no step was evaluated. too_short: fewer than ten steps were. lost, no_frame, covered: no measurement
+    in most of the last ten steps, because the symbol was not found, most frames were missing, or other functions covered most of the
+    symbol. moving: lit, but not steady. off_target: nothing lit at the target, or more than 5 % of the symbol's length or width off (mean
+    of the last five steps).
     """
-    if not steps_with_metrics(table).num_rows:
+    evaluated = steps_with_metrics(table)
+    if not evaluated.num_rows:
         return "not_judged" if table.num_rows else "not_shown"
-    if steps_with_metrics(table).num_rows < FINAL:
+    if evaluated.num_rows < FINAL:
         return "too_short"
-    losses = steps_with_metrics(table)["loss"][-FINAL:].to_pylist()
+    losses = evaluated["loss"][-FINAL:].to_pylist()
     if 2 * losses.count("") < FINAL:
         return next((why for why in ("no_frame", "covered") if 2 * losses.count(why) > FINAL), "lost")
     error = final_error_percent(table)
@@ -110,26 +115,15 @@ def settling_failure(table: pa.Table) -> str | None:
 
 
 def final_error_percent(table: pa.Table) -> np.ndarray:
-    """Error of the centroid `[2]` along x and y, signed, in % of the symbol's length and width; NaN where the last steps are not lit."""
+    """Error of the centroid `[2]` along x and y, signed, in % of the symbol's length and width; NaN if the last steps are dark."""
     table = steps_with_metrics(table)
     return np.array([column(table, axis)[-END:].mean() if table.num_rows else math.nan for axis in AXES])
 
 
-def _cut(table: pa.Table) -> Summary:
-    shares = {side: column(table, f"cut_{side}")[-1] for side in SIDES} if table.num_rows else dict.fromkeys(SIDES, math.nan)
-    total = sum(shares.values())
-    return {"cut": _number(total), "cut_side": max(SIDES, key=shares.__getitem__) if total > 0 else None}
-
-
-def _aim(table: pa.Table) -> list[float] | None:
-    last = [float(column(table, axis)[-1]) for axis in ("aim_x_m", "aim_y_m")] if table.num_rows else [math.nan]
-    return None if math.isnan(last[0]) else last
-
-
 def steady_step(table: pa.Table) -> int | None:
-    """The first step from which, for at least ten steps and to the end, centroid, length and shear stay near their mean of the last ten.
+    """The first step from which centroid, length and shear stay near their means of the last ten steps, for ten steps or more.
 
-    None if there is none. A step at which nothing was lit is not near. Where the symbol lies does not matter.
+    None without such a step. A step in which nothing is lit is not near. The position of the symbol does not matter.
     """
     table = steps_with_metrics(table)
     if table.num_rows < FINAL:
@@ -144,9 +138,9 @@ def steady_step(table: pa.Table) -> int | None:
 
 
 def overshoot_percent(table: pa.Table) -> float | None:
-    """The largest excursion past the final value, in % of the initial error, of the axes that start more than 5 % of the size off.
+    """Largest excursion past the final value in % of the initial error, over the axes with an initial error above 5 % of the symbol's size.
 
-    None if neither does.
+    None without such an axis.
     """
     excursions = []
     for axis in AXES:
@@ -156,13 +150,23 @@ def overshoot_percent(table: pa.Table) -> float | None:
             final = values[-FINAL:].mean()
             past = (final - values) * np.sign(values[0] - final)
             excursions.append(100 * past.max() / abs(values[0]))
-    return _number(max(0.0, *excursions)) if excursions else None
+    return float(max(0.0, *excursions)) if excursions else None
 
 
 def column(table: pa.Table, name: str) -> np.ndarray:
-    """A column of numbers, `[steps]` float64; NaN where there is none."""
+    """A column of numbers `[steps]` float64, NaN for empty fields."""
     return table[name].to_numpy().astype(np.float64)
 
 
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+def last(table: pa.Table, name: str) -> float:
+    """A column's number in the last row; NaN where the field is empty or the table has no row."""
+    return float(column(table, name)[-1]) if table.num_rows else math.nan
+
+
+def finite(value: Any) -> Any:
+    """A summary with None in place of numbers that are not finite."""
+    if isinstance(value, dict):
+        return {key: finite(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [finite(each) for each in value]
+    return value if not isinstance(value, float) else float(value) if math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""Pictures, tone-mapped, and videos of them."""
+"""Tone-mapped pictures, and videos of pictures."""
 
 import os
 from collections.abc import Iterator
@@ -19,16 +19,18 @@ Picture = np.ndarray  # [H, W, 3] uint8, RGB
 
 
 def tone_map(image: Tensor, white: Tensor) -> Picture:
-    """A picture `[H, W, 3]` of an image `[H, W]` >= 0, grey, by the square root, which shows dark and bright alike; white saturates."""
+    """Grey picture `[H, W, 3]` of an image `[H, W]` >= 0, by its square root, which shows dark and bright alike; values above white
+    saturate.
+    """
     grey = (255 * (image / white.to(image)).clamp(0, 1).sqrt()).round().to(torch.uint8).cpu().numpy()
     return np.repeat(grey[..., None], 3, -1)
 
 
 class VideoWriter:
-    """Writes H.264 through a temporary name, so that a video is there whole or not at all; use it in a `with` statement.
+    """Writes an H.264 video, whole or not at all; use it in a `with` statement.
 
-    Pictures are cut to even sizes, which 4:2:0 chroma asks for. Leaving the block closes the file, after Ctrl-C too. A video without
-    pictures is no file.
+    Pictures are cut to even sizes, which 4:2:0 chroma requires. Leaving the block closes the file, after Ctrl-C too. Without pictures no
+    file is written.
     """
 
     def __init__(self, path: Path, fps: float, size: tuple[int, int]) -> None:
@@ -62,7 +64,7 @@ class VideoWriter:
                 if self._part.stat().st_size:
                     os.replace(self._part, self.path)
         except LuxloopError:
-            if not isinstance(error, Exception):  # else that one is raised
+            if not isinstance(error, Exception):  # else the first error is raised
                 raise
         finally:
             self._part.unlink(missing_ok=True)

@@ -1,5 +1,4 @@
-"""Charts of light in matplotlib axes: isolux lines, false colours with their scale, luminance as the eye sees it; and the panels of
-headlamp pictures that they make: a wall, the road from above, a view, pixels, a light texture."""
+"""Panels of headlamp pictures: a wall, the road from above, a view, pixels and light textures, as isolines, false colours or luminance."""
 
 import math
 
@@ -9,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, PowerNorm
 from matplotlib.patches import Polygon, Rectangle
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, MultipleLocator, NullLocator
+from matplotlib.ticker import AutoMinorLocator, FixedLocator, FuncFormatter, MaxNLocator, MultipleLocator, NullLocator
 from torch import Tensor
 
 from luxloop.loop.report.style import SHARES, field, no_frame, scale
@@ -21,13 +20,13 @@ FALSE_COLOURS = "turbo"
 MOST_LINES, DECADES = 8, 3
 DARK_TO_BRIGHT = LinearSegmentedColormap.from_list("lines", ["#1f3f8f", "#1878b4", "#118a6b", "#5b9a12", "#c79a00", "#dd6b00", "#c01818"])
 ON_BLACK = LinearSegmentedColormap.from_list("lines on black", ["#6f9dff", "#4fd0e8", "#6fe39a", "#d8e85a", "#ffc13d", "#ff8a5c"])
-BESIDE_M = 0.15  # of the lane's edge stand the distances
-MARKS_M = (10, 20, 30, 50, 100)  # distances written beside the lane
+BESIDE_M = 0.15  # of distance marks from the lane's edge
+MARKS_M = (10, 20, 30, 50, 100)  # distances marked beside the lane
 CAR_M = (-4.4, 0.05, 0.9, 1.45)  # rear, front, half of the width, height
 
 
 def steps(peak: float, most: int = MOST_LINES) -> list[float]:
-    """Values 1, 2, 5, 10 ... below a peak, ascending, over three decades at most; a single one where there is no light."""
+    """Levels 1, 2, 5, 10 ... below a peak, ascending, over three decades at most; a single level without light."""
     if peak <= 0:
         return [1.0]
     exponent = math.floor(math.log10(peak))
@@ -36,14 +35,14 @@ def steps(peak: float, most: int = MOST_LINES) -> list[float]:
 
 
 def isolines(axes: Axes, x: Image, y: Image, values: Image, most: int = MOST_LINES, on_black: bool = False) -> None:
-    """Labelled lines of equal value over x `[W]` and y `[H]`; values `[H, W]`, NaN where there is nothing."""
+    """Draw labelled isolines of values `[H, W]`, NaN for no surface, over x `[W]` and y `[H]`. most: number of lines."""
     finite = np.nan_to_num(values)
     levels = steps(float(finite.max()), most)
     if not (finite > levels[0]).any():
         axes.text(0.5, 0.5, "no light here", transform=axes.transAxes, ha="center", va="center", color="0.5")
         return
     norm = LogNorm(levels[0], max(levels[-1], 2 * levels[0]))
-    lit = np.maximum(values, 1e-3 * levels[0])  # matplotlib masks zeros on a logarithmic scale, and would leave lines open there
+    lit = np.maximum(values, 1e-3 * levels[0])  # matplotlib masks zeros on a logarithmic scale, which opens lines
     lines = axes.contour(x, y, lit, levels=levels, cmap=ON_BLACK if on_black else DARK_TO_BRIGHT, norm=norm, linewidths=1.1)
     labels = axes.clabel(lines, fmt=lambda value: f"{value:g}", fontsize=8, inline_spacing=3)
     for label in labels:
@@ -51,9 +50,7 @@ def isolines(axes: Axes, x: Image, y: Image, values: Image, most: int = MOST_LIN
 
 
 def false_colours(axes: Axes, values: Image, extent: tuple[float, float, float, float], label: str) -> None:
-    """An image in false colours on a logarithmic scale of three decades, with a labelled colour bar; darker values get the darkest
-    colour.
-    """
+    """Draw values `[H, W]` in false colours on a logarithmic scale of three decades, with a labelled colour bar."""
     light = np.nan_to_num(values)
     peak = float(light.max()) or 1.0
     least = peak / 10**DECADES
@@ -66,7 +63,7 @@ def false_colours(axes: Axes, values: Image, extent: tuple[float, float, float, 
 
 
 def luminance_image(axes: Axes, luminance: Image, extent: tuple[float, float, float, float], dimmed: bool = False) -> None:
-    """A luminance `[H, W]` in cd/m^2, or linear sRGB `[H, W, 3]`, with a bright part of it white and a display's gamma."""
+    """Draw a luminance `[H, W]` in cd/m^2, or linear sRGB `[H, W, 3]`, with a display's gamma; its 99 % quantile is white."""
     light = grey(luminance)
     white = max(float(np.quantile(light, 0.99)), float(light.max()) / 20, 1e-9)
     code = (luminance / white).clip(0, 1) ** (1 / 2.2) * (0.6 if dimmed else 1.0)
@@ -74,17 +71,15 @@ def luminance_image(axes: Axes, luminance: Image, extent: tuple[float, float, fl
 
 
 def degrees(angle: float) -> str:
-    """An angle on a scale."""
+    """An angle in deg as the label of a scale."""
     return f"{angle:.3g}°".replace("-", "−")
 
 
 def degree_grid(axes: Axes) -> None:
-    """A grid of degrees with the lines H-H and V-V, as on a measuring screen at 25 m."""
-    for axis, ticks in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
-        span = abs(ticks[1] - ticks[0])
-        major = next(step for step in (1, 2, 5, 10, 20) if span / step <= 20)
-        axis.set_major_locator(MultipleLocator(major))
-        axis.set_minor_locator(MultipleLocator(major if major == 1 else major / (2 if major != 5 else 5)))
+    """Draw a grid of degrees with the lines H-H and V-V, as on a measuring screen."""
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(20, steps=[1, 2, 5, 10], integer=True))
+        axis.set_minor_locator(AutoMinorLocator(2))
         axis.set_major_formatter(FuncFormatter(lambda angle, _: degrees(angle)))
     axes.grid(True, which="major", alpha=0.45)
     axes.grid(True, which="minor", alpha=0.18)
@@ -95,7 +90,7 @@ def degree_grid(axes: Axes) -> None:
 
 
 def map_frame(axes: Axes, ink: str, lane_width_m: float) -> None:
-    """The road from above: scales in metres, the lane's edges, and the car."""
+    """Draw the frame of a map: scales in m, the lane's edges, and the car."""
     rear, front, half, _ = CAR_M
     axes.set(xlim=BIRDSEYE_X_M, ylim=BIRDSEYE_Y_M, xlabel="ahead in m", ylabel="to the left in m")
     axes.xaxis.set_major_locator(MultipleLocator(10))
@@ -106,7 +101,7 @@ def map_frame(axes: Axes, ink: str, lane_width_m: float) -> None:
 
 
 def object_outlines(axes: Axes, seen: RoadView, extent: tuple[float, float, float, float], ink: str) -> None:
-    """The outlines of all objects in a picture of this extent, row 0 at its upper end."""
+    """Draw the outlines of all objects. extent: left, right, bottom and top of the picture, row 0 at the top."""
     ids = seen.surfaces.object_id.cpu().numpy()
     rows, cols = ids.shape
     left, right, bottom, top = extent
@@ -117,7 +112,7 @@ def object_outlines(axes: Axes, seen: RoadView, extent: tuple[float, float, floa
 
 
 def distance_marks(axes: Axes, seen: RoadView, lane_width_m: float) -> None:
-    """Distances beside the right edge of the lane in a view ahead, where the road is visible and labels do not overlap."""
+    """Mark distances beside the right edge of the lane in a view, where the road is visible and labels do not overlap."""
     lowest = 0.97 * seen.view.height
     for metres in MARKS_M:
         place = seen.on_road(metres, -lane_width_m / 2 - BESIDE_M)
@@ -131,7 +126,7 @@ def distance_marks(axes: Axes, seen: RoadView, lane_width_m: float) -> None:
 
 
 def car_outline(axes: Axes, seen: RoadView) -> None:
-    """The edges of a car: tail, roof's end and nose, joined."""
+    """Draw the edges of the car: cross-sections at tail, roof's end and nose, joined."""
     rear, front, half, height = CAR_M
     ribs = [
         [(x, side * half, z) for side, z in ((1, 0.25), (1, top), (-1, top), (-1, 0.25))]
@@ -145,11 +140,11 @@ def car_outline(axes: Axes, seen: RoadView) -> None:
 
 WALL_M, WALL_POINTS = 25.0, (641, 321)
 WHITE_WALL = 0.8  # albedo
-FAINTEST = 1 / 500  # of the peak, that a wall's picture still reaches to
+FAINTEST = 1 / 500  # of the peak, the faintest light that a wall's picture includes
 
 
 def wall_angles(car: LitCar) -> tuple[Image, Image]:
-    """Angles in deg, `[W]` to the right and `[H]` up, of a rectangle that holds the beam."""
+    """Angles in deg, `[W]` to the right and `[H]` up, of a rectangle around the beam."""
     h, v = torch.arange(-60.0, 60.5, 0.5), torch.arange(-25.0, 25.25, 0.25)
     light = car.intensity(*torch.meshgrid(h, v, indexing="xy")).numpy()
     lit = light > light.max() * FAINTEST
@@ -162,7 +157,7 @@ def wall_angles(car: LitCar) -> tuple[Image, Image]:
 
 
 def draw_wall(axes: Axes, car: LitCar, style: str) -> None:
-    """A wall before the car, in angles from the only lamp or the middle of both."""
+    """Draw a wall ahead of the car, in angles from the only lamp or from the point midway between both."""
     h, v = wall_angles(car)
     H, V = torch.meshgrid(torch.from_numpy(h), torch.from_numpy(v), indexing="xy")
     extent = (h[0], h[-1], v[0], v[-1])
@@ -181,7 +176,7 @@ def draw_wall(axes: Axes, car: LitCar, style: str) -> None:
 
 
 def draw_birdseye(axes: Axes, seen: RoadView, style: str, lane_width_m: float) -> None:
-    """The road from above, the way ahead to the right."""
+    """Draw the road from above, ahead to the right."""
     (x0, x1), (y0, y1) = BIRDSEYE_X_M, BIRDSEYE_Y_M
     if style == "isolux":
         rows, cols = seen.illuminance.shape
@@ -197,7 +192,7 @@ def draw_birdseye(axes: Axes, seen: RoadView, style: str, lane_width_m: float) -
 
 
 def draw_eye(axes: Axes, seen: RoadView, style: str) -> None:
-    """A picture as an eye sees it."""
+    """Draw a view in perspective."""
     rows, cols = seen.illuminance.shape
     extent = (0, cols, rows, 0)
     if style == "falsecolour":
@@ -212,9 +207,9 @@ def draw_eye(axes: Axes, seen: RoadView, style: str) -> None:
 
 
 def draw_pixels(axes: Axes, light: Headlight, utilisation: Tensor) -> None:
-    """Utilisation of a module's pixels in %, with the dark half of the scale stretched."""
+    """Draw the utilisation of a module's pixels in %, with the dark half of the scale stretched."""
     image = 100 * utilisation.view(light.pixel_rows, light.pixel_cols).cpu().numpy()
-    extent = (-0.5, light.pixel_cols - 0.5, light.pixel_rows - 0.5, -0.5)  # a pixel's number at its middle
+    extent = (-0.5, light.pixel_cols - 0.5, light.pixel_rows - 0.5, -0.5)  # numbers at the pixels' centres
     shown = field(axes, image, extent, cmap="magma", norm=PowerNorm(0.5, 0, 100), interpolation="nearest")
     axes.set(xlabel="column", ylabel="row")
     for axis in (axes.xaxis, axes.yaxis):
@@ -223,7 +218,7 @@ def draw_pixels(axes: Axes, light: Headlight, utilisation: Tensor) -> None:
 
 
 def draw_texture(axes: Axes, light: Headlight, texture: Tensor, peak_cd: float) -> None:
-    """A module's light texture `[rows, cols]` in cd, up to a peak, on the plane of tangents with a scale in degrees."""
+    """Draw a module's light texture `[rows, cols]` in cd up to a peak, on the plane of tangents with a scale in degrees."""
     image = texture.cpu().numpy() / 1e3
     extent = (-light.left, -light.right, light.bottom, light.top)
     shown = field(axes, image, extent, vmin=0, vmax=(peak_cd or 1e3) / 1e3)
@@ -235,7 +230,7 @@ def draw_texture(axes: Axes, light: Headlight, texture: Tensor, peak_cd: float) 
 
 
 def _round_tangents(start: float, end: float) -> list[float]:
-    """Tangents of round angles between two tangents, spaced for their labels."""
+    """Tangents of round angles in a range of tangents, spaced for their labels."""
     low, high = sorted((start, end))
     first, last = (math.degrees(math.atan(tangent)) for tangent in (low, high))
     step = next(step for step in (0.5, 1, 2, 5, 10, 20) if (last - first) / step <= 9)

@@ -1,4 +1,4 @@
-"""What of lighting functions is drawn over time: flux, electrical power, luminance of zones, confidence, and light on objects."""
+"""Charts over time: flux, electrical power, modules, symbols, zones, materials, confidence, and light on objects."""
 
 from collections.abc import Callable, Sequence
 from itertools import cycle, product
@@ -19,14 +19,14 @@ from luxloop.loop.simulation.columns import held_in
 from luxloop.loop.simulation.simulation import Simulation
 
 COLOURS = (*FOUR, "#56b4e9", "#d55e00", "#000000", "#999999")
-GREYS = (":", "--", "-.")  # lines of what power is compared with
-FAINTEST_LX = 0.01  # where the scale of illuminance on objects begins
-FEW_STEPS = 30  # which are marked one by one
+GREYS = (":", "--", "-.")  # line styles of reference beams
+FAINTEST_LX = 0.01  # start of the logarithmic scale of illuminance on objects
+FEW_STEPS = 30  # steps up to which curves have markers
 
 
 def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, summary: Summary) -> None:
-    """One chart below the other, of what there is in a recording's table and summary."""
-    charts: dict[Callable[[Axes], None], float] = {lambda axes: _flux(axes, simulation, table): 1.0}  # and how high they are
+    """Draw a chart for each kind of columns in a recording, one below the other."""
+    charts: dict[Callable[[Axes], None], float] = {lambda axes: _flux(axes, simulation, table): 1.0}  # with relative heights
     if "power_w" in table.column_names:
         charts[lambda axes: _power(axes, simulation, table)] = 1.1
     commanded = [name for name in table.column_names if name.startswith("modules.")]
@@ -52,13 +52,10 @@ def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, su
 
 
 def _curve(axes: Axes, table: pa.Table, values: str | np.ndarray, *line: str, **style: Any) -> None:
-    """Values over time, or those of a column."""
+    """Plot values, or a column by its name, over time."""
     values = column(table, values) if isinstance(values, str) else values
-    axes.plot(column(table, "time_s"), values, *line, marker=_mark(table), **style)
-
-
-def _mark(table: pa.Table) -> str:
-    return "." if table.num_rows < FEW_STEPS else ""
+    marker = "." if table.num_rows < FEW_STEPS else ""
+    axes.plot(column(table, "time_s"), values, *line, **{"marker": marker} | style)
 
 
 def _flux(axes: Axes, simulation: Simulation, table: pa.Table) -> None:
@@ -71,16 +68,15 @@ def _flux(axes: Axes, simulation: Simulation, table: pa.Table) -> None:
 
 
 def _power(axes: Axes, simulation: Simulation, table: pa.Table) -> None:
-    time_s = column(table, "time_s")
     _curve(axes, table, "power_w", color="black", label="this run")
     for (name, watts), line in zip(reference_power(simulation, table).items(), GREYS, strict=False):
-        axes.plot(time_s, watts, color="0.5", linestyle=line, label=name)
+        _curve(axes, table, watts, line, color="0.5", label=name, marker="")
     axes.set(ylabel="W", ylim=(0, 1.08 * axes.dataLim.ymax or 1))
     heading(axes, "Electrical power, beside that of undimmed beams")
 
 
 def _modules(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summary, unit: str, title: str) -> None:
-    """One curve for all modules that move alike."""
+    """Draw a curve for each group of modules with equal commands."""
     alike: dict[tuple[float, ...], list[list[str]]] = {}
     for name in names:
         module, movement = name.removeprefix("modules.").rsplit(".", 1)
@@ -99,29 +95,27 @@ def _modules(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summary
 
 
 def _symbols(axes: Axes, table: pa.Table, held: Sequence[str]) -> None:
-    time_s = column(table, "time_s")
     for name, colour in zip(held, cycle(COLOURS), strict=False):
-        iou, lost = column(table, f"functions.{name}.iou"), [reason or "" for reason in table[f"functions.{name}.loss"].to_pylist()]
-        evaluated = np.isfinite(iou)
-        axes.plot(time_s[evaluated], iou[evaluated], marker=_mark(table), color=colour, label=spoken(name))
-        gone = np.array([reason not in ("", "no_frame") for reason in lost])
-        axes.plot(time_s[gone], np.zeros(gone.sum()), "x", color=colour, markersize=4)
+        evaluated = table.filter(table[f"functions.{name}.iou"].is_valid())
+        marker = "." if table.num_rows < FEW_STEPS else ""
+        _curve(axes, evaluated, f"functions.{name}.iou", color=colour, label=spoken(name), marker=marker)
+        lost = table.filter([reason not in (None, "", "no_frame") for reason in table[f"functions.{name}.loss"].to_pylist()])
+        _curve(axes, lost, np.zeros(lost.num_rows), color=colour, linestyle="", marker="x", markersize=4)
     axes.set(ylabel="IoU", ylim=(-0.02, 1.02))
     heading(axes, "Symbols that are held: overlap with the target (x: lost)")
 
 
 def _zones(axes: Axes, table: pa.Table, zones: Sequence[str]) -> None:
-    time_s = column(table, "time_s")
     for name, colour in zip(zones, cycle(COLOURS), strict=False):
         _curve(axes, table, f"functions.{name}.luminance", color=colour, label=spoken(name))
-        axes.plot(time_s, column(table, f"functions.{name}.target"), color=colour, linestyle="--", linewidth=0.9)
+        _curve(axes, table, f"functions.{name}.target", "--", color=colour, linewidth=0.9, marker="")
     axes.set(ylabel="cd/m²", ylim=(0, 1.08 * axes.dataLim.ymax))
     heading(axes, "Luminance of zones, and what is wanted (dashed)")
 
 
 def _materials(axes: Axes, table: pa.Table) -> None:
-    asked = [(name, quantity) for quantity in UNITS for name in materials_of(table, quantity)]
-    for (name, quantity), (line, colour) in zip(asked, cycle(product(("-", "--", ":"), COLOURS)), strict=False):
+    materials = [(name, quantity) for quantity in UNITS for name in materials_of(table, quantity)]
+    for (name, quantity), (line, colour) in zip(materials, cycle(product(("-", "--", ":"), COLOURS)), strict=False):
         values, wanted = (column(table, f"functions.{name}.{each}") for each in (quantity, "wanted"))
         if not wanted[-1]:
             continue  # dark has no share
@@ -136,7 +130,7 @@ def _confidences(axes: Axes, table: pa.Table, names: Sequence[str], summary: Sum
     for name, colour in zip(names, COLOURS, strict=False):
         gone = summary["objects"][name]["steps_lost"]
         label = spoken(name) + (f", lost in {gone} steps" if gone else "")
-        axes.plot(column(table, "time_s"), column(table, f"objects.{name}.confidence"), color=colour, label=label)
+        _curve(axes, table, f"objects.{name}.confidence", color=colour, label=label, marker="")
     axes.set(ylim=(0, 1.02))
     if nothing := summary["tracks_of_nothing"]:
         axes.plot([], [], " ", label=f"a track without an object in {nothing} steps")
@@ -144,24 +138,25 @@ def _confidences(axes: Axes, table: pa.Table, names: Sequence[str], summary: Sum
 
 
 def _on_objects(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summary, with_names: bool) -> None:
-    """Those of these names one by one, and the most on all others in sight together."""
-    time_s, most_lx = column(table, "time_s"), {name: each["lx_max"] for name, each in summary["objects"].items()}
+    """Draw the named objects one by one, and the largest illuminance on any other object in sight."""
+    most_lx = {name: each["lx_max"] for name, each in summary["objects"].items()}
     others = [name for name, lx in most_lx.items() if lx is not None and name not in names]
     for name, colour in zip(names, COLOURS, strict=False):
         dark = not most_lx[name]
         label = f"{spoken(name)}: 0 lx throughout" if dark else spoken(name) if with_names else None
         _curve(axes, table, f"objects.{name}.lx_mean", color=colour, label=label)
-        axes.plot(time_s, column(table, f"objects.{name}.lx_max"), color=colour, linestyle=":", linewidth=0.9)
+        _curve(axes, table, f"objects.{name}.lx_max", ":", color=colour, linewidth=0.9, marker="")
     if others:
         most = np.fmax.reduce([column(table, f"objects.{name}.lx_max") for name in others])
         lit = "" if np.nanmax(most) else ": 0 lx throughout"
-        axes.plot(time_s, most, color="0.5", linewidth=0.9, label=f"most on {plural(len(others), 'other' if names else 'object')}{lit}")
+        label = f"most on {plural(len(others), 'other' if names else 'object')}{lit}"
+        _curve(axes, table, most, color="0.5", linewidth=0.9, label=label, marker="")
     if names:
         axes.plot([], [], color="0.5", linestyle=":", linewidth=0.9, label="most on each")
     if summary.get("eyes_lx_max") is not None:
         later = summary["eyes_lx_max_after_start_up"]
-        told = "" if later is None else f": {later:.2g} lx from {START_UP_S:g} s on"
-        axes.plot(time_s, column(table, "eyes_lx_max"), color="0.5", linestyle="--", label=f"maximum on heads and windscreens{told}")
+        figure = "" if later is None else f": {later:.2g} lx from {START_UP_S:g} s on"
+        _curve(axes, table, "eyes_lx_max", "--", color="0.5", label=f"maximum on heads and windscreens{figure}", marker="")
     axes.set_ylabel("lx")
     if axes.dataLim.ymin < FAINTEST_LX:
         axes.set_yscale("symlog", linthresh=FAINTEST_LX)

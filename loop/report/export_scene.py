@@ -1,4 +1,4 @@
-"""The scene of a scenario at one time as a glTF file: road, objects, camera and lamps, each as a node with its pose."""
+"""The scene of a scenario at one time as a glTF file: road, objects, camera and lamps, each a node with its pose."""
 
 import math
 from pathlib import Path
@@ -20,13 +20,13 @@ from luxloop.world.scene.body import Body, albedo_picture
 from luxloop.world.scene.triangles import Instance
 
 ROOT, SCENE, CAMERA = "world y-up", "world z-up", "front camera"  # names that no object can have
-ALBEDO: Final = "albedo "  # before its number in the name of a material of one colour
+ALBEDO: Final = "albedo "  # before the number in the name of a plain material
 T_GLTF_WORLD: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 T_VIEW_CAMERA: Final = np.diag([1.0, -1, -1, 1])  # a camera of glTF looks along -z, y up
 
 
 def write_scene(simulation: Simulation, time_s: float, file: Path) -> trimesh.Scene:
-    """Write the scene at a time as .glb; returns it.
+    """Write the scene at a time as .glb; returns the scene.
 
     Raises LuxloopError for another suffix, a time beyond the scenario, a plant that does not know the truth, and where the file cannot be
     written.
@@ -39,8 +39,9 @@ def write_scene(simulation: Simulation, time_s: float, file: Path) -> trimesh.Sc
 
 
 def scene_at(simulation: Simulation, time_s: float) -> trimesh.Scene:
-    """The scene at a time: the node SCENE is the world, with a node for the road and for each object, module and street lamp; CAMERA
-    is the camera. Raises LuxloopError as `write_scene`.
+    """The scene at a time: a node CAMERA, and a node SCENE of the world with nodes for road, objects, modules and street lamps.
+
+    Raises LuxloopError as `write_scene`.
     """
     refuse_time(simulation, time_s)
     world, state = simulation.world, simulation.world.motion.at(time_s)
@@ -65,7 +66,7 @@ def _add_camera(scene: trimesh.Scene, view: View) -> None:
 
 
 def _add(scene: trimesh.Scene, placed: Instance, name: str) -> None:
-    """A node for a body, with its mesh, or with those of its parts as nodes of their own below it."""
+    """Add a node for a body with its mesh, or with a node for each of its parts."""
     body, T = placed.body, placed.T_world_body.numpy()
     if body.part_of_face is None:
         parts = body.parts or (None,)
@@ -81,7 +82,7 @@ def _add(scene: trimesh.Scene, placed: Instance, name: str) -> None:
 
 
 def _mesh(body: Body, faces: Tensor | None, albedo: float) -> trimesh.Trimesh:
-    """Some faces of a body. Vertex normals come with it where they are smooth; else no face shares its corners."""
+    """The mesh of a body's faces, all or those in a mask `[faces]`. Smooth faces share vertices and normals, flat ones have their own."""
     chosen = torch.ones(len(body.corners), dtype=torch.bool) if faces is None else faces
     vertices = np.asarray(body.mesh.vertices)
     if body.smooth:
@@ -104,14 +105,14 @@ def _mesh(body: Body, faces: Tensor | None, albedo: float) -> trimesh.Trimesh:
 
 
 def _exact(tree: dict[str, Any]) -> None:
-    """Put albedos into the materials, in which trimesh keeps 8 bits, by the names of these."""
+    """Set exact albedos, by the names of materials, in which trimesh keeps 8 bits."""
     for material in tree["materials"]:
         if (name := material.get("name", "")).startswith(ALBEDO):
             material["pbrMetallicRoughness"]["baseColorFactor"][:3] = [float(name.removeprefix(ALBEDO))] * 3
 
 
 def _srgb(linear: Tensor) -> Tensor:
-    """Codes 0..255 of linear values 0..1, as pictures of colours have them (IEC 61966-2-1)."""
+    """sRGB codes 0..255 of linear values 0..1 (IEC 61966-2-1)."""
     value = linear.clamp(0, 1)
     coded = torch.where(value <= 0.0031308, 12.92 * value, 1.055 * value.clamp(min=1e-9) ** (1 / 2.4) - 0.055)
     return (255 * coded).round().byte()

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -12,14 +13,12 @@ from luxloop.world.photometry.texture import solid_angles
 from luxloop.world.texels import TexelGrid
 
 STEP_DEG = 0.1  # of the search for a beam's peak
-EVEN_SHARE, EVEN_PART = 0.995, 0.02  # a peak that more than 2 % of all directions reach but for 0.5 % has no place
-MARGIN_DEG = 0.5  # beyond the field, so that no border is missed
+EVEN_SHARE, EVEN_PART = 0.995, 0.02  # a beam is even if more than 2 % of all directions have 99.5 % of its peak
+MARGIN_DEG = 0.5  # of the search beyond the field
 
 
 class Peak(NamedTuple):
-    """Greatest luminous intensity and its direction: h to the right, v up, deg. even: the field is so even that the direction has no
-    meaning.
-    """
+    """Largest luminous intensity and its direction: h to the right, v up. even: whether the beam is too even for a direction."""
 
     candela: float
     h_deg: float
@@ -28,7 +27,7 @@ class Peak(NamedTuple):
 
 
 def peak(lamp: Lamp, utilisations: Sequence[Tensor]) -> Peak:
-    """The peak of all modules together in the far field, on a grid of `STEP_DEG`."""
+    """Peak of a lamp's modules together in the far field, on a grid of `STEP_DEG`."""
     left, right, bottom, top = lamp.field_deg
     h, v = torch.meshgrid(_around(-left, -right), _around(bottom, top), indexing="ij")
     candela = lamp.intensity(utilisations, direction(h, v).flatten(1))
@@ -38,7 +37,7 @@ def peak(lamp: Lamp, utilisations: Sequence[Tensor]) -> Peak:
 
 
 def _around(low_deg: float, high_deg: float) -> Tensor:
-    """Whole steps over a range of angles in deg."""
+    """Multiples of `STEP_DEG` over a range of angles in deg and its margins."""
     first, last = math.floor((low_deg - MARGIN_DEG) / STEP_DEG), math.ceil((high_deg + MARGIN_DEG) / STEP_DEG)
     return torch.arange(first, last + 1, dtype=torch.float64) * STEP_DEG
 
@@ -50,5 +49,5 @@ def flux_lm(grid: TexelGrid, texture: Tensor) -> float:
 
 def borders_deg(grid: TexelGrid) -> tuple[float, float, float, float]:
     """Left and right (left positive), bottom and top (up positive) of a texture as angles in deg from its axis."""
-    left, right, bottom, top = (math.degrees(math.atan(tangent)) for tangent in (grid.left, grid.right, grid.bottom, grid.top))
+    left, right, bottom, top = np.degrees(np.arctan([grid.left, grid.right, grid.bottom, grid.top])).tolist()
     return left, right, bottom, top

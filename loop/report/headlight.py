@@ -1,4 +1,4 @@
-"""Pictures of headlamps: beams on a wall, on the road, for the driver and in fog; pixels and light textures."""
+"""Pictures of headlamps: a beam on a wall, on the road, for the driver and in fog; pixels and light textures."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -31,7 +31,7 @@ from luxloop.world.rendering.gbuffer import flat_road
 DPI = 110
 VISIBILITY_M = 100.0
 REACHES_LX = (1.0, 3.0, 10.0)
-NAME = 15  # characters that fit before a value; longer names have a line of their own
+NAME = 15  # characters of a name on one line with its value
 CELL_M, ROAD_M = 0.5, (0.0, 300.0)
 
 WALL = {
@@ -57,14 +57,14 @@ def show_headlight(  # noqa: PLR0913 (each value stands by itself)
     title: str = "own pattern",
     visibility_m: float | None = None,
 ) -> Path:
-    """Draw one picture of lamps at work; returns its file.
+    """Draw a picture of the light of lamps; returns its file.
 
-    lamps: by side, "left" and "right" or one of them. out: the file, whose suffix says its format. beam: a name that the lamps know, by
-    default low, or full where they have none; or utilisations `[n_p]` in 0..1, one a module, by side, which title names. commands: how
-    modules are turned and dimmed beside that, one a module, by side; by default not at all. view and style: see VIEWS. scenario: its road,
-    objects and light at time_s, where the lamps are mounted and how they are turned; by default a flat road. visibility_m: meteorological
-    optical range of the fog in the view "volume", by default 100. Raises LuxloopError for unknown names, options that do not apply to the
-    view, and a file that cannot be written.
+    lamps: by side, "left" and "right" or one of them. out: picture file, whose suffix is its format. beam: name of a beam, by default low,
+    or full for lamps without a low beam; or utilisations `[n_p]` in 0..1 by side, one a module, named by title. commands: swivel, level and
+    intensity of modules by side, one a module; by default at rest. view, style: see VIEWS. scenario: gives road, objects and ambient light
+    at time_s, and the mounting of the lamps; by default a flat road. visibility_m: meteorological optical range of the fog in the view
+    "volume", by default 100. Raises LuxloopError for unknown names, options that do not apply to the view, and a file that cannot be
+    written.
     """
     style = style_of(view, style)
     check_out(out)
@@ -86,7 +86,7 @@ def show_headlight(  # noqa: PLR0913 (each value stands by itself)
 def lights_by_side(scenario: Scenario, lamp: str, time_s: float) -> tuple[Mapping[str, Sequence[Tensor]], Mapping[str, Commands]]:
     """Utilisations `[n_p]` and commands of a lamp's modules in a scenario at a time, by side; zero for modules that are off.
 
-    lamp: preset or lamp file that replaces the scenario's. Raises LuxloopError where the scenario cannot use it.
+    lamp: preset or lamp file that replaces the scenario's. Raises LuxloopError where the scenario cannot use the lamp.
     """
     headlight = scenario.headlight.model_copy(update={"model": lamp, "intensity_cd": None})
     try:
@@ -109,7 +109,7 @@ def lights_by_side(scenario: Scenario, lamp: str, time_s: float) -> tuple[Mappin
 def _patterns(
     lamps: Mapping[str, Lamp], beam: str | Mapping[str, Sequence[Tensor]] | None, title: str
 ) -> tuple[str, Mapping[str, Sequence[Tensor]]]:
-    """A pattern's name, and its utilisations by side, float32."""
+    """Name of a beam, and its utilisations `[n_p]` by side, one a module."""
     if not lamps or not set(lamps) <= set(SIDES):
         raise LuxloopError(
             f"lamps by the sides {', '.join(map(repr, lamps)) or 'of none'}: give them by 'left' and 'right', or one of them"
@@ -164,7 +164,7 @@ def _draw(car: LitCar, beam: str, view: str, style: str, road: Road, visibility_
 
 
 def _modules(car: LitCar, beam: str, view: str) -> Figure:
-    """A panel for each module: a lamp a column, or all in one where there is one lamp."""
+    """A figure with a panel for each module, a column for each lamp."""
     rows, columns = max(len(lamp.modules) for lamp in car.lamps.values()), len(car.lamps)
     what = "utilisation of the pixels" if view == "pixels" else "light textures"
     figure = _page(car, beam, what, (9.0 if columns == 1 else 13.0, 0.6 + 2.4 * rows))
@@ -190,12 +190,12 @@ def _modules(car: LitCar, beam: str, view: str) -> Figure:
 
 
 def _eye_inches(style: str) -> tuple[float, float]:
-    """Of a page that a picture of 16 : 9 fills, beside the scale of false colours if there is one."""
+    """Size of a page with a picture of 16 : 9, and with the scale of false colours."""
     return (11.0, 5.85) if style == "falsecolour" else (11.0, 6.5)
 
 
 def _page(car: LitCar, beam: str, what: str, inches: tuple[float, float]) -> Figure:
-    """A figure with its title."""
+    """A figure with a title."""
     figure = Figure(inches, DPI, layout="constrained")
     names = " and ".join(dict.fromkeys(lamp.name for lamp in car.lamps.values()))
     which = "both lamps" if len(car.lamps) > 1 else f"{next(iter(car.lamps))} lamp"
@@ -204,7 +204,7 @@ def _page(car: LitCar, beam: str, what: str, inches: tuple[float, float]) -> Fig
 
 
 def _draw_overview(figure: Figure, car: LitCar, beam: str, road: Road) -> None:
-    """Fill a page."""
+    """Draw wall, road, driver's view and facts on one page."""
     top, bottom = rows(figure, 3.9, 3.7)
     left, right = columns(top, 9.2, 4.4)
     wall = left.subplots()
@@ -223,7 +223,7 @@ def _draw_overview(figure: Figure, car: LitCar, beam: str, road: Road) -> None:
 
 
 def facts(car: LitCar, beam: str) -> list[tuple[str, str]]:
-    """Facts of a beam as pairs of name and value: of the first lamp, and the reach of all lamps."""
+    """Facts of a beam as names and values: pixels, flux and peak of the first lamp, and the reach of all lamps."""
     side, lamp = next(iter(car.lamps.items()))
     pattern = car.patterns[side]
     fluxes = [flux_lm(module.headlight, module.headlight.light_texture(u)) for module, u in zip(lamp.modules, pattern, strict=True)]
@@ -240,9 +240,7 @@ def facts(car: LitCar, beam: str) -> list[tuple[str, str]]:
 
 
 def reach_m(car: LitCar, lux: float) -> float:
-    """Reach in m: the greatest distance ahead on a flat road with this illuminance at the road, on a surface facing the car; 0 if
-    nowhere.
-    """
+    """Reach in m: largest distance on a flat road at which an upright surface on the road has an illuminance; 0 if there is none."""
     upright = flat_road(birdseye(CELL_M, ROAD_M), 1.0)
     normal = torch.zeros_like(upright.normal)
     normal[0] = -1

@@ -1,4 +1,4 @@
-"""What the page of a run needs beside its table, taken while it runs."""
+"""Parts of a run that report.png needs beside the table, collected during the run."""
 
 import math
 
@@ -12,23 +12,23 @@ from luxloop.perception.appearance import appearance, image_axes
 from luxloop.perception.extraction import Crop, ExtractionStatus
 from luxloop.perception.tracking import TrackerParams
 
-MOMENTS = 4  # that the page shows
+MOMENTS = 4  # steps whose pictures the page shows
 PAST_SYMBOLS = 12
 
 
 class Highlights:
-    """What a page needs of a run beside its table: a few moments, and of each symbol that is held what `SymbolHistory` keeps."""
+    """A few steps of a run, and the histories of its symbols under control."""
 
     def __init__(self, simulation: Simulation) -> None:
-        self._moments: dict[int, Evaluation] = {}  # first, between, and the last so far
+        self._moments: dict[int, Evaluation] = {}  # the first, some between, and the last so far
         self.symbols = list[SymbolHistory]()
         self.edit(simulation)
 
     def edit(self, simulation: Simulation) -> None:
-        """The run goes on with an edited simulation, which may hold other symbols and end earlier or later."""
+        """Continue with an edited simulation, which may have other symbols and another number of steps."""
         scenario = simulation.scenario
         tracker, steps = scenario.tracker, scenario.steps
-        # the last step that tracks do not light
+        # the last step without light on tracks
         frames = scenario.camera.latency_steps + tracker.confirm_frames if scenario.detector and isinstance(tracker, TrackerParams) else 1
         first = min(frames, steps) - 1
         self._kept = {first + k * (steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS)}
@@ -37,32 +37,33 @@ class Highlights:
 
     @property
     def moments(self) -> list[Evaluation]:
-        """Those to show, the last one is the end."""
+        """Steps that the page shows, the last step of the run at the end."""
         return list(self._moments.values())[-MOMENTS:]
 
     def add(self, result: Evaluation) -> None:
-        """Take what is needed of a step."""
+        """Add a step."""
         self._moments = {step: each for step, each in self._moments.items() if step in self._kept} | {result.step: result}
         for each in self.symbols:
             each.add(result)
 
 
 class SymbolHistory:
-    """What a page needs of a symbol beside the table: the path of the centroid, a few past symbols, the last light, and what was shown in
-    place of what was asked for."""
+    """History of a symbol: path of the centroid, a few past symbols, the last step that shows it, and poses that the plant showed in place
+    of the commanded ones.
+    """
 
     def __init__(self, name: str, steps: int) -> None:
-        """steps: how many there will be; past symbols are kept at ever larger intervals, since most of the way is made at first."""
+        """steps: of the run. Past symbols are kept at growing intervals, since a symbol moves most at first."""
         self.name = name
         self._keep = set(np.geomspace(1, max(steps, 1), PAST_SYMBOLS).round().astype(int) - 1)
         self.path: list[tuple[float, float]] = []
         self.symbols: list[tuple[Crop, NDArray[np.bool_]]] = []
         self.frame: Tensor | None = None  # the newest on frame
-        self.last: Evaluation | None = None  # that shows it
-        self.shown: dict[float, Tensor] = {}  # poses by their times in s
+        self.last: Evaluation | None = None  # that shows the symbol
+        self.shown: dict[float, Tensor] = {}  # poses that the plant showed, by time in s
 
     def add(self, result: Evaluation) -> None:
-        """Take what is needed of a step."""
+        """Add a step."""
         if (held := result.held.get(self.name)) is None:
             return
         seen = held.measurement

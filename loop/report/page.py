@@ -1,4 +1,4 @@
-"""report.png: the camera's view, the road from above, the beams on a wall, charts over time, and how symbols that are held lie."""
+"""report.png: the camera's view, the road from above, the beams on a wall, charts over time, and symbols under control."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ from luxloop.loop.recording.remedies import SHADOW
 from luxloop.loop.recording.summary import Summary
 from luxloop.loop.report.courses import write_courses
 from luxloop.loop.report.highlights import Highlights
-from luxloop.loop.report.picture import WALL_DEG, camera_luminance, marks, readable, wall_light, white_of
+from luxloop.loop.report.picture import MARKS_RGB, WALL_DEG, camera_luminance, marks, readable, wall_light, white_of
 from luxloop.loop.report.run_table import processing
 from luxloop.loop.report.style import SHARES, columns, drawing, field, page_title, rows
 from luxloop.loop.report.symbol import HIGH_IN, draw_symbol
@@ -33,42 +33,38 @@ from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.frames import View, transform
 
 WIDE_IN, DPI = 13.0, 130
-LIGHT_IN, ABOVE_IN = 8.6, 3.4  # of the part about all light, and in it of the row of pictures from above
-TALLER_IN = 2.2  # with a detector, for two large pictures of the camera, and with materials, for their chart
-TRACKED, MASKED, FOUND, TARGET = "#4fd17a", "#ffaa28", "#6e82a0", "#50aaff"
-MARKS = {"tracked": TRACKED, "zone": TRACKED, "masked": MASKED, "found": FOUND, "target": TARGET}
+LIGHT_IN, ABOVE_IN = 8.6, 3.4  # height of the part on all light, and of its row of pictures from above
+TALLER_IN = 2.2  # added with a detector, for two large pictures of the camera, and with materials, for their chart
 WALL_COLUMNS = 480
 CHARACTERS = 125  # of marks, side by side, that fill a large picture of the camera
-TOLD = 110  # characters of a line about the camera's pictures
+LEGEND = 110  # characters of a line of the legend of the camera's pictures
 OBSERVED = 4  # observers' pictures that fit side by side
 FAINTEST_ROAD_LX, BRIGHTEST_ROAD_LX, ROAD_LEVELS_LX = 0.1, 30.0, (1.0, 3.0)  # of the picture from above, and its lines
-AROUND_M = 2.0  # that it shows around the light
-RAYS_ABOVE = 1e6  # of that picture, four for each pixel of the page
+AROUND_M = 2.0  # margin around the light in the picture from above
+RAYS_ABOVE = 1e6  # of the picture from above, four for each pixel of the page
 
 
 def write_report(file: Path, simulation: Simulation, highlights: Highlights, table: pa.Table, summary: Summary) -> None:
-    """Draw a run of at least one step on one page: all light, unless symbols are all there is, and each symbol that is held.
+    """Draw a run of at least one step on one page: a part on all light, unless there are only symbols, and a part on each symbol.
 
-    table and summary are the recording's, simulation the one that its last step is of. Raises LuxloopError if the file cannot be written.
+    simulation: of the last step. table, summary: of the recording. Raises LuxloopError if the file cannot be written.
     """
     shown = [each for each in highlights.symbols if each.last is not None and each.name in simulation.controlled]
     parts: list[tuple[float, Callable[[SubFigure], None]]] = []
     if not shown or not symbols_alone(simulation):
         high = LIGHT_IN + (simulation.pipeline is not None or bool(highlights.moments[-1].materials)) * TALLER_IN
-        parts.append(
-            (high, partial(_draw_light, simulation=simulation, moments=highlights.moments, table=table, summary=summary, high=high))
-        )
+        parts.append((high, lambda figure: _draw_light(figure, simulation, highlights.moments, table, summary, high)))
     for each in shown:
-        draw = partial(draw_symbol, simulation=simulation, gathered=each, table=of_one(table, each.name))
-        parts.append((HIGH_IN, partial(draw, summary=summary["functions"][each.name])))
-    ratios = [high for high, _ in parts]
-    with drawing(file, (WIDE_IN, sum(ratios)), dpi=DPI) as figure:
-        for place, (_, draw_part) in zip(rows(figure, *ratios), parts, strict=True):
-            draw_part(place)
+        own = of_one(table, each.name), summary["functions"][each.name]
+        parts.append((HIGH_IN, partial(draw_symbol, simulation=simulation, history=each, table=own[0], summary=own[1])))
+    heights = [height for height, _ in parts]
+    with drawing(file, (WIDE_IN, sum(heights)), dpi=DPI) as figure:
+        for place, (_, draw) in zip(rows(figure, *heights), parts, strict=True):
+            draw(place)
 
 
 def symbols_alone(simulation: Simulation) -> bool:
-    """Whether nothing shines and nothing is watched but symbols that are held."""
+    """Whether symbols under control are all that shines and is watched."""
     scenario, lighting = simulation.scenario, simulation.scenario.lighting
     others = simulation.planner.functions.keys() - simulation.controlled.keys()
     below = lighting.raw or lighting.painted or lighting.base.beam != "off"
@@ -78,7 +74,7 @@ def symbols_alone(simulation: Simulation) -> bool:
 def _draw_light(
     figure: SubFigure, simulation: Simulation, moments: Sequence[Evaluation], table: pa.Table, summary: Summary, high: float
 ) -> None:
-    """Draw the part of a page about all light; high: its height in inches."""
+    """Draw the part of a page on all light. high: its height in inches."""
     last, upper = moments[-1], high - ABOVE_IN
     page_title(figure, *_title(simulation, last, summary), size=12)
     left, right = columns(figure, 7.6, 5.4)
@@ -108,10 +104,10 @@ def _title(simulation: Simulation, last: Evaluation, summary: Summary) -> tuple[
 
 
 def _cameras(figure: SubFigure, simulation: Simulation, moments: Sequence[Evaluation]) -> None:
-    """With a detector the first and the last picture, as large as each other; else the last one large."""
+    """Draw the camera's pictures: with a detector the first and the last at the same size, else the last large and the others small."""
     white = float(max(white_of(result, simulation) for result in moments))
     *before, end = moments
-    figure.suptitle(fill(_told_of_boxes(simulation), TOLD), x=0.02, ha="left", fontsize=9)
+    figure.suptitle(fill(_legend(simulation), LEGEND), x=0.02, ha="left", fontsize=9)
     if before and end.look is not None:
         for axes, result in zip(figure.subplots(2, 1), (before[0], end), strict=True):
             _camera(axes, simulation, result, white)
@@ -122,8 +118,8 @@ def _cameras(figure: SubFigure, simulation: Simulation, moments: Sequence[Evalua
     _camera(figure.add_subplot(rows[1, :]), simulation, end, white)
 
 
-def _told_of_boxes(simulation: Simulation) -> str:
-    """What the camera's pictures show: colours are named where they occur."""
+def _legend(simulation: Simulation) -> str:
+    """Legend of the colours in the camera's pictures."""
     kinds = {function.kind for function in simulation.scenario.functions.values()}
     zones = "; named: zones" if "zone" in kinds else ""
     zones += "; blue: target of a held symbol" if simulation.controlled else ""
@@ -139,7 +135,7 @@ def _camera(axes: Axes, simulation: Simulation, result: Evaluation, white: float
     image = (camera_luminance(result, simulation).cpu().numpy() / white).clip(0, 1) ** 0.5
     axes.imshow(image, **SHARES)
     for mark in readable(marks(result, simulation), image.shape[1] / CHARACTERS, image.shape[1]):
-        colour = MARKS[mark.kind]
+        colour = _colour(mark.kind)
         for (u0, v0), (u1, v1) in mark.lines:
             axes.plot([u0, u1], [v0, v1], color=colour, linewidth=0.7)
         axes.annotate(mark.text, mark.at, (0, 2), textcoords="offset points", color=colour, fontsize=6.5, clip_on=True)
@@ -149,7 +145,6 @@ def _camera(axes: Axes, simulation: Simulation, result: Evaluation, white: float
     watts = "" if result.look is None else f", {sum(power.watts for power in result.powers.values()):.1f} W"
     asked = "asked for: " if shadow_of(simulation.scenario.plant) is not None else ""
     axes.set_title(f"Camera at {result.time_s:.2f} s, {asked}{beam}{watts}", weight="normal")
-    axes.grid(False)
 
 
 def _observers(figure: SubFigure, observed: Sequence[tuple[Evaluation, ObservedSymbol]]) -> None:
@@ -158,7 +153,6 @@ def _observers(figure: SubFigure, observed: Sequence[tuple[Evaluation, ObservedS
         axes.imshow(symbol.share.nan_to_num().cpu().numpy(), **SHARES)
         axes.set(xticks=[], yticks=[], anchor="N")
         axes.set_title(f"{result.time_s:.2f} s, IoU {symbol.iou:.3f}", weight="normal")
-        axes.grid(False)
 
 
 def _from_above(axes: Axes, simulation: Simulation, last: Evaluation) -> None:
@@ -184,19 +178,23 @@ def _from_above(axes: Axes, simulation: Simulation, last: Evaluation) -> None:
     bar.ax.minorticks_off()
 
 
+def _colour(kind: str) -> tuple[float, ...]:
+    return tuple(value / 255 for value in MARKS_RGB[kind])
+
+
 def _outlines(axes: Axes, last: Evaluation) -> None:
-    """Of the objects that the car knows."""
+    """Draw the outlines of the objects that the car knows."""
     for each in last.now.objects:
         if each.since_s <= last.time_s < each.until_s:
             x, y = each.size_m[0] / 2, each.size_m[1] / 2
             foot = torch.tensor([[x, x, -x, -x], [y, -y, -y, y], [0.0] * 4], dtype=torch.float64)
-            colour = MASKED if each.name in last.masked else TRACKED
+            colour = _colour("masked" if each.name in last.masked else "tracked")
             axes.add_patch(Polygon(transform(each.T_world_object.double(), foot)[:2].T.numpy(), fill=False, color=colour, linewidth=1.2))
 
 
 def _from_near(look: Callable[[View], torch.Tensor]) -> tuple[NDArray[np.floating], tuple[float, float, float, float]]:
-    """Light from above `[H, W]` in lx, where there is any, and the extent in m that it covers; each pixel is the mean of four rays, as
-    shadows on a rough road are finer than one.
+    """Illuminance `[H, W]` in lx of the lit part of the road from above, and its extent in m. Each pixel is the mean of four rays, since
+    shadows on a rough road are finer than a pixel. look: gives the illuminance in a view.
     """
     (left, right), (low, high) = lit_part(look(birdseye()).cpu().numpy())
     cell_m = math.sqrt((right - left) * (high - low) / RAYS_ABOVE)
@@ -207,7 +205,7 @@ def _from_near(look: Callable[[View], torch.Tensor]) -> tuple[NDArray[np.floatin
 
 
 def lit_part(light: NDArray[np.floating]) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Ranges of x and y in m that hold all light from above `[H, W]` that can be seen in its picture; the whole where there is none."""
+    """Ranges of x and y in m of the visible light in an illuminance `[H, W]` from above; the whole ranges if no light is visible."""
     columns, rows = (np.flatnonzero((light > FAINTEST_ROAD_LX).any(axis)) for axis in (0, 1))
     if not len(columns):
         return BIRDSEYE_X_M, BIRDSEYE_Y_M

@@ -1,4 +1,4 @@
-"""A photometric file as a picture: its luminous intensity over both angles, and the curves through its peak."""
+"""Picture of a photometric file: luminous intensity over both angles, and curves through the peak."""
 
 from pathlib import Path
 
@@ -15,12 +15,12 @@ from luxloop.loop.report.views import Image
 from luxloop.world.photometry import Distribution, Photometry
 
 SAMPLES = (721, 541)  # of the map, horizontally and vertically
-FAINT, NEEDLE_DEG = 0.02, 40.0  # a beam whose brighter parts lie within so many degrees is no curve around a lamp
+FAINT, NEEDLE_DEG = 0.02, 40.0  # a beam with all intensities above 2 % of its peak within 40 deg has no polar curve
 LABELS = {"A": ("to the right", "up"), "B": ("to the right", "up"), "C": ("C plane", "from nadir")}
 
 
 def show_distribution(photometry: Photometry, out: Path) -> Path:
-    """Draw a photometric file; returns the picture's file. Raises LuxloopError where that cannot be written."""
+    """Draw a photometric file; returns the picture's file. Raises LuxloopError where the picture cannot be written."""
     check_out(out)
     distribution = photometry.distribution
     with drawing(out, (12.0, 5.3)) as figure:
@@ -34,9 +34,9 @@ def show_distribution(photometry: Photometry, out: Path) -> Path:
 
 
 def cuts(distribution: Distribution) -> tuple[Image, dict[str, Image]]:
-    """Angles `[N]` in deg and the luminous intensities `[N]` in cd on the two curves through the peak, by their names.
+    """Angles `[N]` in deg and luminous intensities `[N]` in cd of the two curves through the peak, by name.
 
-    Types A and B: angles to the right and up, from the axis. Type C: from nadir, towards the half plane that is named first.
+    Types A and B: angles to the right and up, from the axis. Type C: from nadir, towards the first named half plane.
     """
     v, h, candela = distribution.full_table
     i, j = np.unravel_index(int(candela.argmax()), candela.shape)
@@ -66,7 +66,7 @@ def _map(axes: Axes, distribution: Distribution) -> None:
 
 
 def _curves(figure: SubFigure, distribution: Distribution) -> None:
-    """Around the lamp, or side by side where all of a beam would be a needle."""
+    """Draw the curves through the peak in polar coordinates, or over the angle for a narrow beam."""
     angles, curves = cuts(distribution)
     bright = [np.abs(angles[candela > FAINT * candela.max()]).max(initial=0.0) for candela in curves.values()]
     narrow = max(bright) < NEEDLE_DEG

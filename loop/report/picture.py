@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Literal
 
 import cv2
@@ -31,17 +31,17 @@ from luxloop.world.light.emitters import Source, wall_illuminance
 from luxloop.world.traffic.tracked import Category
 
 Point = tuple[int, int]
-LINES = 3  # at which a text may stand, each above the other
+LINES = 3  # heights that a text may take, one line above the other
 Lines = tuple[tuple[Point, Point], ...]
-EDGES = [(a, b) for a, b in combinations(range(8), 2) if bin(a ^ b).count("1") == 1]  # corners whose bits are x, y, z
+EDGES = [(a, b) for a, b in combinations(range(8), 2) if (a ^ b) in (1, 2, 4)]  # of a box, corners numbered by the bits x, y, z
 RING = [(0, 1), (1, 2), (2, 3), (3, 0)]
 
 
 @dataclass(frozen=True)
 class Mark:
-    """Lines in px of the image, and a text at its place.
+    """Lines and a text in px of the camera's image.
 
-    kind: `masked` is what must be dark, `found` what a detector found in this frame alone, `target` where a symbol shall lie on flat road.
+    kind: `masked` an object that must be dark, `found` a detection in this frame alone, `target` a symbol's target on a flat road.
     """
 
     lines: Lines
@@ -51,7 +51,7 @@ class Mark:
 
 
 def marks(result: Evaluation, simulation: Simulation) -> tuple[Mark, ...]:
-    """Zones, targets of symbols that are held, and boxes: on the road of what a perfect tracker tells, or in the image of tracks."""
+    """Marks of zones, of targets of symbols under control, and of objects: boxes on the road, or with a detector boxes in the image."""
     view = result.sense.view
     functions = simulation.scenario.functions.items()
     zones = tuple(_zone(name, each, view) for name, each in functions if isinstance(each, ZoneParams))
@@ -66,9 +66,9 @@ def marks(result: Evaluation, simulation: Simulation) -> tuple[Mark, ...]:
 
 
 def readable(marked: Iterable[Mark], character_px: float, width_px: int) -> tuple[Mark, ...]:
-    """The same marks with their texts within the image, up to two lines higher where they would cover one before them, or else without.
+    """Marks with their texts moved into the image and up to two lines higher, so that none covers an earlier one, or else without texts.
 
-    character_px: how wide one is; it is twice as high.
+    character_px: width of a character; its height is twice as large.
     """
     kept: list[Mark] = []
     taken: list[tuple[float, float, float]] = []  # left, right, bottom
@@ -86,9 +86,10 @@ def readable(marked: Iterable[Mark], character_px: float, width_px: int) -> tupl
 
 def _zone(name: str, zone: ZoneParams, view: View) -> Mark:
     lines = _edges(*zone.box, view)
-    points = [point for line in lines for point in line]
-    at = (min(u for u, _ in points), min(v for _, v in points)) if points else (0, 0)
-    return Mark(lines, "zone", text=spoken(name) if points else "", at=at)
+    if not lines:
+        return Mark((), "zone")
+    us, vs = zip(*chain.from_iterable(lines), strict=True)
+    return Mark(lines, "zone", spoken(name), (min(us), min(vs)))
 
 
 def _target(symbol: SymbolParams, view: View) -> Lines:
@@ -98,13 +99,17 @@ def _target(symbol: SymbolParams, view: View) -> Lines:
 
 
 def _tracks(look: FrameDetections, classes: tuple[Category, ...], masked: frozenset[str]) -> tuple[Mark, ...]:
-    drawn, tracks = [], look.tracks
-    for number, box, category, sure in zip(
-        tracks.number.tolist(), tracks.boxes.tolist(), tracks.category.tolist(), tracks.confidence.tolist(), strict=True
-    ):
-        text = f"{classes[category]} {number}: {sure[category]:.2f}"
-        drawn.append(Mark(_ring(box), _kind(name_of(number), masked), text=text, at=(round(box[0]), round(box[1]))))
-    return tuple(drawn)
+    tracks = look.tracks
+    values = (each.tolist() for each in (tracks.number, tracks.boxes, tracks.category, tracks.confidence))
+    return tuple(
+        Mark(
+            _ring(box),
+            _kind(name_of(number), masked),
+            f"{classes[category]} {number}: {confidences[category]:.2f}",
+            (round(box[0]), round(box[1])),
+        )
+        for number, box, category, confidences in zip(*values, strict=True)
+    )
 
 
 def _kind(name: str, masked: frozenset[str]) -> Literal["masked", "tracked"]:
@@ -124,33 +129,32 @@ def _around(each: TrackedObject, view: View) -> Lines:
 
 
 def _edges(T_world_box: Tensor, low: Tensor, high: Tensor, view: View) -> Lines:
-    """Of a box in a view, low and high `[3]` m opposite corners in its frame."""
-    bits = torch.tensor([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)], dtype=torch.float64).T
+    """Edges of a box in a view. low, high: `[3]` m, opposite corners in the box's frame."""
+    bits = torch.cartesian_prod(*3 * [torch.arange(2)]).T
     return _seen(transform(T_world_box, low[:, None] + (high - low)[:, None] * bits), EDGES, view)
 
 
 def _seen(corners: Tensor, edges: Sequence[tuple[int, int]], view: View) -> Lines:
-    """Edges between corners `[3, n]` m in a view; none where one lies behind the eye."""
+    """Edges between corners `[3, n]` m in a view; none if a corner lies behind the eye."""
     uv, depth = view.project(corners)
     points = [(round(u), round(v)) for u, v in uv.T.tolist()]
     return () if (depth <= 0).any() else tuple((points[a], points[b]) for a, b in edges)
 
 
-TRACKED_RGB, MASKED_RGB, FOUND_RGB, TEXT_RGB = (90, 220, 120), (255, 170, 40), (110, 130, 160), (235, 235, 235)
-TARGET_RGB, SEEN_RGB, LOST_RGB = (80, 170, 255), (255, 170, 40), (255, 90, 80)
-MARKS_RGB = {"tracked": TRACKED_RGB, "zone": TRACKED_RGB, "masked": MASKED_RGB, "found": FOUND_RGB, "target": TARGET_RGB}
-WHITE = 2.0  # luminance that is shown as white at least, as a multiple of the median of symbols that are held
-CLOSE = 1.4  # half the extent of the road seen from above, in symbol lengths and widths
-ABOVE = 0.44  # height of that inset, of the picture's
-CHARACTER = 0.47  # how wide a character is, of a line's height
-WALL_DEG = (24.0, 8.0, 6.0)  # to each side, down and up, of the wall that the lamps light
-WALL_SHARE = 0.3  # its width, of the picture's
+TEXT_RGB, TARGET_RGB, SEEN_RGB, LOST_RGB = (235, 235, 235), (80, 170, 255), (255, 170, 40), (255, 90, 80)
+MARKS_RGB = {"tracked": (90, 220, 120), "zone": (90, 220, 120), "masked": SEEN_RGB, "found": (110, 130, 160), "target": TARGET_RGB}
+WHITE = 2.0  # least luminance that is shown as white, as a multiple of the median of symbols under control
+CLOSE = 1.4  # half the extent of the inset from above, in symbol lengths and widths
+ABOVE = 0.44  # height of the inset from above, relative to the picture's
+CHARACTER = 0.47  # width of a character, relative to a line's height
+WALL_DEG = (24.0, 8.0, 6.0)  # extent of the wall that the lamps light: to each side, down and up
+WALL_SHARE = 0.3  # width of the wall's inset, relative to the picture's
 WALL_M = 25.0
 BRIGHT = 0.995  # quantile of the first picture's luminance that is shown as white
 
 
 def white_of(result: Evaluation, simulation: Simulation) -> Tensor:
-    """Luminance in cd/m^2 that a run's pictures show as white, from its first step: no more than the camera can measure."""
+    """Luminance in cd/m^2 that a run's pictures show as white, by its first step; at most the largest that the camera can measure."""
     camera = simulation.scenario.camera
     most = luminance_of(expose(torch.tensor(math.inf), camera), camera)
     symbols = [WHITE * float(each.brightness) for each in simulation.controlled.values()]
@@ -161,15 +165,17 @@ def white_of(result: Evaluation, simulation: Simulation) -> Tensor:
 
 
 def camera_luminance(result: Evaluation, simulation: Simulation) -> Tensor:
-    """Luminance `[height, width]` in cd/m^2 that the camera measures, with the noise of its frame; dark where no frame came."""
+    """Luminance `[height, width]` in cd/m^2 that the camera measures, with the noise of its frame; dark without a frame."""
     camera = simulation.scenario.camera
     return torch.zeros(camera.height_px, camera.width_px) if result.frame is None else luminance_of(result.frame, camera)
 
 
 def frame_picture(result: Evaluation, simulation: Simulation, white: Tensor) -> Picture:
-    """A step as a picture `[H, W, 3]` in the camera's size: boxes in green, orange where a mask keeps them dark, grey of detections; of
-    symbols that are held what was extracted in orange, and in blue where they shall lie. The first of them lies on the upper left, as from
-    above and without noise; the beam is on the upper right."""
+    """A step as a picture `[H, W, 3]` of the camera's size.
+
+    Boxes of objects are green, or orange where a mask keeps them dark, detections grey; symbols under control have their extracted outlines
+    in orange and their targets in blue. Insets: the first symbol from above, without noise, on the upper left; the beam on the upper right.
+    """
     picture = tone_map(camera_luminance(result, simulation), white)
     height, width = picture.shape[:2]
     line, margin = max(height / 28, 9.0), max(height // 60, 1)
@@ -186,16 +192,16 @@ def frame_picture(result: Evaluation, simulation: Simulation, white: Tensor) -> 
             _paste(picture, _from_above(result, simulation, evaluator, white, round(ABOVE * height)), margin, left=True)
     wall = wall_light(under(simulation.modules, result.now.commands), result.lights, round(WALL_SHARE * width))
     _paste(picture, tone_map(wall, wall.max().clamp(min=1e-6)), margin, left=False)
-    told = captions(result, simulation)
-    for number, (text, colour) in enumerate(told):
-        at = (margin, round(height - margin - line * (len(told) - 1 - number)))
+    lines = captions(result, simulation)
+    for number, (text, colour) in enumerate(lines):
+        at = (margin, round(height - margin - line * (len(lines) - 1 - number)))
         for wide, shade in ((3, (0, 0, 0)), (1, colour)):  # outlined, as it may lie on lit road
             cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, line / 38, shade, wide, cv2.LINE_AA)
     return picture
 
 
 def _outline(picture: Picture, seen: Measurement) -> None:
-    """Of an extracted symbol."""
+    """Draw the outline of an extracted symbol."""
     mask = (seen.symbol > 0.5).to(torch.uint8).cpu().numpy()
     if mask.size:
         offset = (seen.crop.u_start, seen.crop.v_start)
@@ -204,7 +210,7 @@ def _outline(picture: Picture, seen: Measurement) -> None:
 
 
 def _from_above(result: Evaluation, simulation: Simulation, evaluator: SymbolEvaluator, white: Tensor, height: int) -> Picture:
-    """The road about a symbol's target, far end on top, with the target outlined; height: px."""
+    """The road around a symbol's target from above, far end on top, with the outline of the target. height: px."""
     symbol, axes = evaluator.symbol, evaluator.plane.axes
     on, off = (result.exposures[k].lights for k in (0, -1))
     light = simulation.world.added(result.time_s, on, off, result.now.commands)
@@ -222,7 +228,7 @@ def _from_above(result: Evaluation, simulation: Simulation, evaluator: SymbolEva
 
 
 def _paste(picture: Picture, inset: Picture, margin: int, left: bool) -> None:
-    """Lay a framed inset into the upper left or right corner; what is too large is cut."""
+    """Draw a framed inset into the upper left or right corner, cut to the picture."""
     inset = inset[: picture.shape[0] - 2 * margin, : picture.shape[1] - 2 * margin]
     height, width = inset.shape[:2]
     u = margin if left else picture.shape[1] - margin - width
@@ -231,7 +237,7 @@ def _paste(picture: Picture, inset: Picture, margin: int, left: bool) -> None:
 
 
 def captions(result: Evaluation, simulation: Simulation) -> list[tuple[str, tuple[int, int, int]]]:
-    """What to know of a step, line by line, each with its colour."""
+    """Lines of text on a step, each with its colour."""
     base = result.plan.base
     lamps = ", ".join(f"{side} {power.flux_lm:.0f} lm" for side, power in result.powers.items())
     lines = [simulation.scenario.name, f"step {result.step}, {result.time_s:.2f} s", simulation.base(base.name), lamps]
@@ -258,7 +264,7 @@ def _of_symbol(name: str, simulation: Simulation, held: SymbolStep) -> tuple[str
 
 
 def wall_light(modules: Sequence[ShiningModule], lights: Sequence[Tensor], columns: int) -> Tensor:
-    """Illuminance `[rows, columns]` in lx of a wall 25 m before the middle of the lamps, all modules together."""
+    """Illuminance `[rows, columns]` in lx of all modules on a wall 25 m ahead of the point midway between the lamps."""
     side, down, up = WALL_DEG
     h, v = torch.linspace(-side, side, columns), torch.linspace(up, -down, round(columns * (up + down) / (2 * side)))
     lit = [
@@ -266,7 +272,5 @@ def wall_light(modules: Sequence[ShiningModule], lights: Sequence[Tensor], colum
         for module, u in zip(modules, lights, strict=True)
         if bool(u.any())
     ]
-    height = float(modules[0].T_world_module[2, 3])
-    middle = pose_from_degrees((0.0, 0.0, height))
-    h_deg, v_deg = torch.meshgrid(h, v, indexing="xy")
-    return wall_illuminance(lit, middle, h_deg, v_deg, WALL_M)
+    middle = pose_from_degrees((0.0, 0.0, float(modules[0].T_world_module[2, 3])))
+    return wall_illuminance(lit, middle, *torch.meshgrid(h, v, indexing="xy"), WALL_M)

@@ -13,14 +13,7 @@ from luxloop.loop.recording.summary import Summary
 from luxloop.loop.report.terminal import facts, number, plural
 from luxloop.loop.simulation.detection import LEAST_PX
 
-WELL_LIT_LX = 5.0  # from which on detectors are trained to find objects
-
-
-def _in_shadow(told: Summary) -> str:
-    if not told["differ"]:
-        return f"that of the recording, in all {told['exposures']} exposures with a frame"
-    share = number(100 * told["elsewhere"], ".2g")
-    return f"other than in the recording in {told['differ']} of {told['exposures']} exposures with a frame, by {share} % of both (mean)"
+WELL_LIT_LX = 5.0  # illuminance from which on a trained detector finds objects
 
 
 def summary_table(values: Summary, files: str) -> Table:  # noqa: C901 (a row a quantity)
@@ -28,8 +21,14 @@ def summary_table(values: Summary, files: str) -> Table:  # noqa: C901 (a row a 
     rows = {"steps": str(values["steps"])}
     if values["shadow_of"] is not None:
         rows["in shadow"] = f"on the frames of {values['shadow_of']}; the commands of this run were not shown and not evaluated"
-        if told := values.get("shadow"):
-            rows["light"] = _in_shadow(told)
+        if shadow := values.get("shadow"):
+            share, frames = (
+                number(shadow["elsewhere"] and 100 * shadow["elsewhere"], ".2g"),
+                f"{shadow['exposures']} exposures with a frame",
+            )
+            rows["light"] = f"other than in the recording in {shadow['differ']} of {frames}, by {share} % of both (mean)"
+            if not shadow["differ"]:
+                rows["light"] = f"that of the recording, in all {frames}"
     for side, lamp in values["lamps"].items():
         dimmed = f", dimmed to {100 * lamp['power_factor_min']:.0f} % in the worst step" if (lamp["power_factor_min"] or 1.0) < 1 else ""
         rows[f"{side} lamp"] = (
@@ -83,9 +82,9 @@ def summary_table(values: Summary, files: str) -> Table:  # noqa: C901 (a row a 
             rows["on heads and windscreens"] = _on_eyes(values["eyes_lx_max"], values["eyes_lx_max_after_start_up"])
     if least := {name: each["confidence_min"] for name, each in values["objects"].items() if each.get("confidence_min") is not None}:
         lowest = sorted(least, key=least.__getitem__)
-        told = ", ".join(f"{name} {least[name]:.2f}" for name in lowest[:NAMED])
+        named = ", ".join(f"{name} {least[name]:.2f}" for name in lowest[:NAMED])
         more = f", {plural(len(lowest) - NAMED, 'other')} {least[lowest[NAMED]]:.2f} or more" if len(lowest) > NAMED else ""
-        rows["minimum confidence"] = f"{told}{more}, each from its first track on"
+        rows["minimum confidence"] = f"{named}{more}, each from its first track on"
     if values.get("tracks_of_nothing"):
         rows["tracks without object"] = (
             f"in {values['tracks_of_nothing']} of {values['steps']} steps a track shows no object, or one of another track"
@@ -103,11 +102,11 @@ def summary_table(values: Summary, files: str) -> Table:  # noqa: C901 (a row a 
 
 
 def _of_modules(modules: Mapping[str, Mapping[str, Summary]], steps: int) -> str:
-    """All that moved alike together."""
+    """Commands of modules, equal ones in one phrase."""
     alike: dict[tuple[Any, ...], list[str]] = {}
     for name, movements in modules.items():
-        for movement, told in movements.items():
-            alike.setdefault((movement, *told.values()), []).append(name)
+        for movement, figures in movements.items():
+            alike.setdefault((movement, *figures.values()), []).append(name)
     found = []
     for (movement, least, most, *ends), names in alike.items():
         far = f"{least:.0%} to {most:.0%} of their maximum" if movement == "intensity" else f"{least:.1f}° to {most:.1f}°"
@@ -117,7 +116,7 @@ def _of_modules(modules: Mapping[str, Mapping[str, Summary]], steps: int) -> str
 
 
 def _of_light(objects: Mapping[str, Summary], steps: int) -> dict[str, str]:
-    """One by one, and in a line each of those that are not brightest, and of those that were never in sight."""
+    """Rows of the light on objects: the brightest one by one, one row for all others in sight, and one for objects never in sight."""
     rows, one_by_one = {}, brightest(objects)
     for name in one_by_one:
         each = objects[name]
@@ -132,7 +131,7 @@ def _of_light(objects: Mapping[str, Summary], steps: int) -> dict[str, str]:
 
 
 def _of_lost(objects: Mapping[str, Summary]) -> dict[str, str]:
-    """Whom no track shows at times, the largest in the image one by one."""
+    """Rows of the objects that are without a track at times, the largest in the image one by one."""
     gone = {name: each for name, each in objects.items() if each.get("steps_in_sight") and (each["steps_lost"] or not each["tracks"])}
     hopeless = [name for name, each in gone.items() if not each["tracks"] and not each.get("findable", True)]
     gone = {name: each for name, each in gone.items() if name not in hopeless}
@@ -152,7 +151,7 @@ def _of_lost(objects: Mapping[str, Summary]) -> dict[str, str]:
 
 
 def processing(values: Summary, what: str) -> str:
-    """Time that the car computes for a step by the summary of a run, what that is, and how far from real time."""
+    """Processing time of a step in ms and as a multiple of the control period. what: description of the time."""
     times = values["times_real_time"]
     return f"{number(values['processing_ms_median'], '.0f')} ms {what}" + ("" if times is None else f", {times:.2g} of the control period")
 

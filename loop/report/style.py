@@ -1,4 +1,4 @@
-"""How charts and pictures of light look: type, colours, legends that hide nothing, and what all figures draw alike."""
+"""Style of all figures: type, colours, legends, panels, and writing to files."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from luxloop.world.files import whole
 
-# Of matplotlib, whatever a matplotlibrc in the working folder says, which could start LaTeX
+# Matplotlib's own, since a matplotlibrc in the working folder could start LaTeX
 DEFAULTS: Any = {key: value for key, value in rcParamsDefault.items() if key != "backend"}
 STYLE: Any = DEFAULTS | {
     "font.size": 9,
@@ -32,14 +32,14 @@ STYLE: Any = DEFAULTS | {
     "legend.edgecolor": "none",
     "legend.fontsize": 8,
 }
-FOUR = ("#0072b2", "#e69f00", "#009e73", "#cc79a7")  # Okabe and Ito: told apart by all eyes
+FOUR = ("#0072b2", "#e69f00", "#009e73", "#cc79a7")  # Okabe and Ito, for colour-blind readers too
 NIGHT = LinearSegmentedColormap.from_list("night", ["#05070c", "#3a3f4a", "#a9a598", "#fffbe8"])
-SHARES: Any = {"cmap": NIGHT, "vmin": 0, "vmax": 1, "interpolation": "antialiased"}  # how an image in 0..1 is shown
-CHARACTER_IN, LINE_IN, AROUND_IN = 0.055, 0.4, 0.7  # of a legend's text, its line with what is around it, and around a chart
+SHARES: Any = {"cmap": NIGHT, "vmin": 0, "vmax": 1, "interpolation": "antialiased"}  # of an image in 0..1
+CHARACTER_IN, LINE_IN, AROUND_IN = 0.055, 0.4, 0.7  # width of a legend's character and of its line with margins; margins of a chart
 
 
 def heading(axes: Axes, title: str, *more: Axes) -> None:
-    """A title, and below it the legend, outside of the chart, where it hides nothing. more: axes in the same place with own labels."""
+    """Draw a title with the legend below, above the chart. more: further axes of the same chart with labels."""
     found = [each for one in (axes, *more) for each in one.get_legend_handles_labels()[0]]
     if not found:
         axes.set_title(title)
@@ -62,7 +62,7 @@ def heading(axes: Axes, title: str, *more: Axes) -> None:
 
 
 def field(axes: Axes, values: ArrayLike, extent: tuple[float, float, float, float], label: str = "", **style: Any) -> ScalarMappable:
-    """Values `[H, W]` in colours that fill the axes, without a grid. label: of a colour bar beside them, if there is to be one."""
+    """Draw values `[H, W]` in colours over the whole axes, without a grid. label: of a colour bar; empty for none."""
     drawn = axes.imshow(values, extent=extent, **{"cmap": "inferno", "aspect": "auto", "interpolation": "antialiased"} | style)
     axes.grid(False)
     if label:
@@ -71,22 +71,22 @@ def field(axes: Axes, values: ArrayLike, extent: tuple[float, float, float, floa
 
 
 def scale(axes: Axes, drawn: ScalarMappable, label: str) -> Colorbar:
-    """A slim colour bar beside axes."""
+    """Draw a slim colour bar beside axes."""
     return axes.figure.colorbar(drawn, ax=axes, label=label, pad=0.015, fraction=0.05, aspect=24)
 
 
 def rows(figure: Figure | SubFigure, *heights: float) -> list[SubFigure]:
-    """Parts of a figure one below the other, in the ratios of their heights."""
+    """Parts of a figure one below the other. heights: their ratios."""
     return [*figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]]
 
 
 def columns(figure: Figure | SubFigure, *widths: float) -> list[SubFigure]:
-    """Parts of a figure side by side, in the ratios of their widths."""
+    """Parts of a figure side by side. widths: their ratios."""
     return [*figure.subfigures(1, len(widths), squeeze=False, width_ratios=widths)[0]]
 
 
 def no_frame(axes: Axes) -> None:
-    """A picture: no ticks, no grid, no box."""
+    """Remove ticks, grid and box of axes with a picture."""
     axes.set(xticks=[], yticks=[])
     axes.grid(False)
     for spine in axes.spines.values():
@@ -94,13 +94,13 @@ def no_frame(axes: Axes) -> None:
 
 
 def page_title(figure: Figure | SubFigure, *parts: str, size: float = 11.5) -> None:
-    """What a page shows, on its upper left."""
+    """Write a page's title on its upper left; empty parts are left out."""
     figure.suptitle("  ·  ".join(filter(None, parts)), x=0.012, ha="left", fontsize=size, weight="bold")
 
 
 @contextmanager
 def drawing(out: Path, inches: tuple[float, float], style: Any = STYLE, dpi: int = 110) -> Iterator[Figure]:
-    """A figure to draw into in a block, at whose end it is saved as by `write`."""
+    """A figure to draw into, saved by `write` at the end of the block."""
     with rc_context(style):
         figure = Figure(inches, dpi, layout="constrained")
         yield figure

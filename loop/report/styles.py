@@ -1,4 +1,4 @@
-"""The views of a lamp, their styles and picture formats, checked before heavy imports."""
+"""Views of a lamp, their styles and picture formats; imports nothing heavy."""
 
 import os
 from collections.abc import Mapping
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from luxloop.world.errors import LuxloopError, did_you_mean
 
-# Styles of each view; the first one unless another is asked for.
+# styles of each view, the default first
 VIEWS: Mapping[str, tuple[str, ...]] = {
     "overview": ("isolux",),
     "wall": ("isolux", "isocandela", "falsecolour", "luminance"),
@@ -20,7 +20,7 @@ FORMATS = (".png", ".jpg", ".jpeg", ".pdf", ".svg")
 
 
 def style_of(view: str, style: str | None) -> str:
-    """The style of a view, by default its first. Raises LuxloopError for unknown names, with the nearest one."""
+    """The style of a view, by default the first. Raises LuxloopError for unknown names, with the nearest known one."""
     if view not in VIEWS:
         raise LuxloopError(f"there is no view {view!r}; {did_you_mean(view, VIEWS)}")
     if style is None or style in VIEWS[view]:
@@ -32,7 +32,7 @@ def style_of(view: str, style: str | None) -> str:
 
 
 def check_out(out: Path) -> None:
-    """Raises LuxloopError for a file name that does not end in a picture format, or whose folder is not there, before it is drawn."""
+    """Raises LuxloopError for a file name without a picture format's suffix, and for a missing folder."""
     if out.suffix.lower() not in FORMATS:
         raise LuxloopError(f"{out}: pictures are written as {', '.join(FORMATS)}; end the file's name in one of them")
     if not os.path.isdir(out.parent):

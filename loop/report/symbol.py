@@ -1,4 +1,4 @@
-"""What happened with a symbol that is held, as the thesis' figures 9.12 to 9.17 show it."""
+"""The part of report.png on a symbol under control, after the thesis' figures 9.12 to 9.17."""
 
 from pathlib import Path
 from textwrap import fill
@@ -13,8 +13,6 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
-from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
 from luxloop.loop.recording.remedies import SHADOW, remedies, why_no_metrics
 from luxloop.loop.recording.summary import Summary, column
 from luxloop.loop.report.facts import borders_deg
@@ -26,6 +24,7 @@ from luxloop.loop.simulation.columns import ERRORS
 from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.redrawn import open_loop_lights
+from luxloop.loop.simulation.result import Lights
 from luxloop.loop.simulation.road_metrics import SymbolEvaluator
 from luxloop.loop.simulation.simulated import SimulatedPlant
 from luxloop.loop.simulation.simulation import Simulation
@@ -33,33 +32,34 @@ from luxloop.perception.birdseye import rectify
 from luxloop.perception.camera import luminance_of
 from luxloop.perception.metrics import THRESHOLD
 
-Lights = tuple[Utilisation, ...]
-Pairs = dict[str, tuple[Lights, Lights]]  # with a symbol and without it, by when
+Pairs = dict[str, tuple[Lights, Lights]]  # lights with a symbol and without it, by title
 Image = NDArray[np.floating]
 
 TARGET, PATH, LOST = "#00c8ff", "#ff2020", "#d55e00"
-HIGH_IN = 9.4  # of a symbol's part of a page
+HIGH_IN = 9.4  # height of a symbol's part of a page
 TITLE, NOTE = 125, 175  # characters of a line as wide as the page
-WHY = 40  # of a line in a chart
-FEW_STEPS = 60  # which are marked one by one
-LEAST_M, LEAST_DEG = 0.01, 0.1  # that the axes of poses show to both sides: less is nothing that anybody sees
+WHY = 40  # characters of a line in a chart
+FEW_STEPS = 60  # steps up to which curves have markers
+LEAST_M, LEAST_DEG = 0.01, 0.1  # least range of the axes of poses to both sides
 
 
-def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: SymbolHistory, table: pa.Table, summary: Summary) -> None:
-    """A symbol's part of a page. table: its columns (`luxloop.loop.simulation.columns.of_one`), of one step at least. summary: its own."""
-    assert gathered.last is not None, "a page needs a step"
-    symbol, last = simulation.controlled[gathered.name], gathered.last
+def draw_symbol(figure: SubFigure, simulation: Simulation, history: SymbolHistory, table: pa.Table, summary: Summary) -> None:
+    """Draw a symbol's part of a page. table: its columns (`luxloop.loop.simulation.columns.of_one`), one row or more. summary: the
+    symbol's.
+    """
+    assert history.last is not None, "a page needs a step"
+    symbol, last = simulation.controlled[history.name], history.last
     lights = {
-        "without control (open loop)": open_loop_lights(simulation, last, gathered.name),
+        "without control (open loop)": open_loop_lights(simulation, last, history.name),
         "at the end": (last.exposures[0].lights, last.exposures[-1].lights),
     }
     shadow = shadow_of(simulation.scenario.plant)
-    figure.suptitle(fill(_title(simulation, gathered.name, summary, shadow), TITLE), x=0.012, ha="left", fontsize=12.5, weight="bold")
-    notes = [] if shadow else remedies(gathered.name, summary)
+    figure.suptitle(fill(_title(simulation, history.name, summary, shadow), TITLE), x=0.012, ha="left", fontsize=12.5, weight="bold")
+    notes = [] if shadow else remedies(history.name, summary)
     figure.supxlabel("\n".join(fill(note, NOTE) for note in notes), x=0.012, ha="left", fontsize=10)
     left, right = columns(figure, 4.3, 7.7)
-    _courses(left, symbol.function, gathered, table, summary)
-    views = _camera_images(simulation, lights, gathered, last)
+    _courses(left, symbol.function, history, table, summary)
+    views = _camera_images(simulation, lights, history, last)
     if symbol.evaluator is None:
         top, beam = rows(right, 2.75, 3.6)
     else:
@@ -67,7 +67,7 @@ def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: SymbolHisto
         _camera_views(middle, symbol, views)
         plane, beam = columns(bottom, 3.5, 4.2)
         _birds_eye_views(plane, symbol.evaluator, lights, last)
-    _progression(top, symbol, gathered, views["at the end"])
+    _progression(top, symbol, history, views["at the end"])
     _beam_patterns(beam, symbol, lights["at the end"][0], "asked for" if shadow else "at the end")
 
 
@@ -85,21 +85,21 @@ def _title(simulation: Simulation, name: str, summary: Summary, shadow: str | No
     return f"{who}  ·  {settled}  ·  IoU {iou}, without control {without}, both at the last step  ·  centroid error {x} %, {y} %{lost}"
 
 
-def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: SymbolHistory, table: pa.Table, summary: Summary) -> None:
+def _courses(figure: SubFigure, target: SymbolFunctionParams, history: SymbolHistory, table: pa.Table, summary: Summary) -> None:
     errors, pose, truth = figure.subplots(3, 1, sharex=True)
     steps = column(table, "step")
-    lost = np.array([loss != "" for loss in table["loss"].to_pylist()])
-    lost_label = "symbol lost" if lost.any() else "_lost"
+    lost = np.array(table["loss"].to_pylist()) != ""
     for axes in (errors, pose, truth):
-        axes.fill_between(
-            steps, 0, 1, where=lost, step="mid", color=LOST, alpha=0.18, lw=0, transform=axes.get_xaxis_transform(), label=lost_label
-        )
-        lost_label = "_lost"
+        label = "symbol lost" if axes is errors and lost.any() else None
+        shade = {"color": LOST, "alpha": 0.18, "lw": 0, "label": label}
+        axes.fill_between(steps, 0, 1, where=lost, step="mid", transform=axes.get_xaxis_transform(), **shade)
         if summary["settle_step"] is not None:
-            axes.axvline(summary["settle_step"], color="0.3", lw=1.2, ls=":", label="settled" if axes is errors else "_settled")
+            axes.axvline(summary["settle_step"], color="0.3", lw=1.2, ls=":", label="settled" if axes is errors else None)
     marker = "o" if len(steps) <= FEW_STEPS else ""
 
-    for name, colour, unit in zip(ERRORS, FOUR, _error_units(target.features), strict=True):
+    unit = " px" if target.features.view == "raw" else " m"
+    units = (unit, unit, "" if target.features.shape == "moments" else unit, unit)
+    for name, colour, unit in zip(ERRORS, FOUR, units, strict=True):
         values = column(table, name)
         peak = np.nanmax(np.abs(values), initial=0)
         label = f"$e_{{{name[2:]}}}$: {peak:.3g}{unit}"
@@ -115,9 +115,9 @@ def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: SymbolHi
     turned.plot(steps, column(table, "pitch_deg"), color=FOUR[3], ls="--", label="pitch, nose down")
     if (z := column(table, "z_m")).any():
         pose.plot(steps, z, color="black", label="z")
-    if gathered.shown:
-        at = np.interp(list(gathered.shown), column(table, "time_s"), steps)
-        shown = torch.stack(list(gathered.shown.values())).cpu().numpy()
+    if history.shown:
+        at = np.interp(list(history.shown), column(table, "time_s"), steps)
+        shown = torch.stack(list(history.shown.values())).cpu().numpy()
         for values, place, colour, name in zip(shown.T, (target.x_m, target.y_m), FOUR, "xy", strict=False):
             pose.plot(at, values - place, color=colour, lw=0, marker=".", ms=4, label=f"{name} that was shown")
     for axes, least in ((pose, LEAST_M), (turned, LEAST_DEG)):
@@ -147,7 +147,7 @@ def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: SymbolHi
 
 
 def _line(axes: Axes, steps: Image, values: Image, **style: Any) -> None:
-    """A line over the steps in which there are values, each of them marked where they are few: not all steps are evaluated."""
+    """Plot the finite values over the steps, with markers if there are few; not all steps are evaluated."""
     there = np.isfinite(values)
     axes.plot(steps[there], values[there], marker="o" if there.sum() <= FEW_STEPS else "", ms=2.2, **style)
 
@@ -159,30 +159,29 @@ def _right_axis(axes: Axes) -> Axes:
     return twin
 
 
-def _error_units(what: FeatureParams) -> tuple[str, ...]:
-    unit = " px" if what.view == "raw" else " m"
-    return (unit, unit, "" if what.shape == "moments" else unit, unit)
-
-
-def _camera_images(simulation: Simulation, lights: Pairs, gathered: SymbolHistory, last: Evaluation) -> dict[str, Image]:
-    """Luminances `[height, width]` in cd/m^2 that the camera measures: at the last step's time where the plant can expose it once more."""
+def _camera_images(simulation: Simulation, lights: Pairs, history: SymbolHistory, last: Evaluation) -> dict[str, Image]:
+    """Luminances `[height, width]` in cd/m^2 that the camera measures, by title: of a simulated plant exposed anew at the last step's time,
+    else of the newest frame.
+    """
     camera, plant, time_s = simulation.scenario.camera, simulation.plant, last.time_s
     if isinstance(plant, SimulatedPlant):
         frames = {
             name: plant.exposed(*plant.world.luminance(time_s, on, last.now.commands), last.step, 0) for name, (on, _) in lights.items()
         }
     else:
-        frames = {"at the end": torch.zeros(camera.height_px, camera.width_px) if gathered.frame is None else gathered.frame}
+        frames = {"at the end": torch.zeros(camera.height_px, camera.width_px) if history.frame is None else history.frame}
     return {name: luminance_of(frame, camera).cpu().numpy() for name, frame in frames.items()}
 
 
-def _target_luminance(symbol: ControlledSymbol) -> torch.Tensor:
+def _target(symbol: ControlledSymbol) -> tuple[torch.Tensor, torch.Tensor]:
+    """Luminance `[height, width]` in cd/m^2 of a symbol at its target on a flat road, and the mask of its bright pixels."""
     projector = symbol.projector
-    return symbol.sensor.model.luminance(projector.light(projector.target))
+    luminance = symbol.sensor.model.luminance(projector.light(projector.target))
+    return luminance, luminance > THRESHOLD * symbol.brightness
 
 
 def _night(image: Image, white: float) -> Image:
-    """Tone-mapped to 0..1, so that the dark road can still be seen."""
+    """An image tone-mapped to 0..1, so that the dark road stays visible."""
     return (image / max(white, 1e-6)).clip(0, 1) ** (1 / 2.2)
 
 
@@ -193,50 +192,48 @@ def _show(axes: Axes, image: Image, white: float) -> None:
 
 
 def _white(symbol: ControlledSymbol, *images: Image) -> float:
-    """The luminance that is shown white: a bright part of the target or of the scene, so that glints do not make all else dark."""
-    wanted = _target_luminance(symbol)
-    bright = wanted[wanted > THRESHOLD * symbol.brightness]
+    """Luminance in cd/m^2 that is shown as white: a high quantile of the target's or the scene's, so that glints do not darken the rest."""
+    luminance, mask = _target(symbol)
+    bright = luminance[mask]
     return max(float(bright.quantile(0.9)) if len(bright) else 0.0, *(float(np.quantile(image, 0.98)) for image in images))
 
 
-def _progression(figure: SubFigure, symbol: ControlledSymbol, gathered: SymbolHistory, after: Image) -> None:
+def _progression(figure: SubFigure, symbol: ControlledSymbol, history: SymbolHistory, after: Image) -> None:
     axes = figure.subplots()
     axes.set_title("Symbol progression in the camera's image  (red: past symbols and path, cyan: target)")
     _show(axes, after, _white(symbol, after))
-    final = np.zeros(after.shape, bool)  # past symbols leave the last one free
-    for crop, past in gathered.symbols[-1:]:
+    final = np.zeros(after.shape, bool)  # which past symbols leave free
+    for crop, past in history.symbols[-1:]:
         final[crop.slices] = past
-    for crop, past in gathered.symbols[:-1]:
+    for crop, past in history.symbols[:-1]:
         overlay = np.zeros((*past.shape, 4), np.float32)
         overlay[..., 0], overlay[..., 3] = 1.0, 0.3 * (past & ~final[crop.slices])
         axes.imshow(overlay, extent=(crop.u_start, crop.u_stop, crop.v_stop, crop.v_start), interpolation="nearest")
-    wanted = (_target_luminance(symbol) > THRESHOLD * symbol.brightness).float().cpu().numpy()  # as it should lie on a flat road
-    rows, cols = (np.arange(n) + 0.5 for n in wanted.shape)
-    axes.contour(cols, rows, wanted, levels=[0.5], colors=TARGET, linewidths=0.8)
-    path = np.array(gathered.path)
+    target = _target(symbol)[1].float().cpu().numpy()
+    rows, cols = (np.arange(n) + 0.5 for n in target.shape)
+    axes.contour(cols, rows, target, levels=[0.5], colors=TARGET, linewidths=0.8)
+    path = np.array(history.path)
     axes.plot(*path.T, color=PATH, lw=1.3, marker="o", ms=2.5)
     seen = path[np.isfinite(path).all(1)]
     if len(seen):
         axes.plot(*seen[0], color=PATH, marker="o", ms=6, mfc="none", mew=1.4)
         axes.plot(*seen[-1], color=PATH, marker="x", ms=7, mew=1.8)
-    boxes = [(crop.u_start, crop.v_start, crop.u_stop, crop.v_stop) for crop, _ in gathered.symbols]
+    boxes = [(crop.u_start, crop.v_start, crop.u_stop, crop.v_stop) for crop, _ in history.symbols]
     _look_at(axes, symbol, boxes, after.shape, aspect=2.75)
 
 
 def _look_at(axes: Axes, symbol: ControlledSymbol, boxes: list[tuple[int, int, int, int]], shape: tuple[int, ...], aspect: float) -> None:
-    """Zoom to the target and the boxes (u0, v0, u1, v1) with some margin, in a window of an aspect that stays within the image."""
-    wanted = torch.nonzero(_target_luminance(symbol) > THRESHOLD * symbol.brightness)
-    if len(wanted):
-        (v0, u0), (v1, u1) = wanted.amin(0).tolist(), wanted.amax(0).tolist()
+    """Zoom to the target and the boxes (u0, v0, u1, v1) with a margin, within the image. aspect: width over height of the window."""
+    lit = torch.nonzero(_target(symbol)[1])
+    if len(lit):
+        (v0, u0), (v1, u1) = lit.amin(0).tolist(), lit.amax(0).tolist()
         boxes = [*boxes, (u0, v0, u1, v1)]
     if not boxes:
         return
-    u0, v0 = (min(box[i] for box in boxes) for i in (0, 1))
-    u1, v1 = (max(box[i] for box in boxes) for i in (2, 3))
+    (u0, v0, *_), (*_, u1, v1) = np.min(boxes, 0), np.max(boxes, 0)
     width = min(max(1.15 * (u1 - u0), 1.8 * aspect * (v1 - v0)), shape[1])
     height = min(width / aspect, shape[0])
-    u = min(max((u0 + u1) / 2, width / 2), shape[1] - width / 2)
-    v = min(max((v0 + v1) / 2, height / 2), shape[0] - height / 2)
+    u, v = np.clip(((u0 + u1) / 2, (v0 + v1) / 2), (width / 2, height / 2), (shape[1] - width / 2, shape[0] - height / 2))
     axes.set(xlim=(u - width / 2, u + width / 2), ylim=(v + height / 2, v - height / 2))
 
 

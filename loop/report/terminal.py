@@ -1,32 +1,32 @@
-"""Tables, to the terminal and to Markdown, the values that stand in them, and progress on stderr."""
+"""Tables for the terminal and for Markdown, their values in words, and progress on stderr."""
 
 import json
 import math
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any
 
 from rich.console import Console, JustifyMethod
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-WIDE = 160  # columns where there is no terminal to fit into
+WIDE = 160  # columns without a terminal
 JUSTIFY: Mapping[str, JustifyMethod] = {"l": "left", "r": "right"}
 RULES = {"l": "---", "r": "---:"}
 Rows = Iterable[Iterable[object]]
 
 
 def console(stderr: bool = False) -> Console:
-    """A console as wide as the terminal, or wide enough not to break lines in files and pipes."""
+    """A console as wide as the terminal, or as `WIDE` for files and pipes."""
     stream = sys.stderr if stderr else sys.stdout
     return Console(stderr=stderr, highlight=False, width=None if stream.isatty() else WIDE)
 
 
 def say(text: str, stderr: bool = False) -> None:
-    """Print a text as it is, on lines as wide as the terminal."""
+    """Print a text without markup."""
     console(stderr).print(text, markup=False)
 
 
@@ -36,15 +36,12 @@ def show(table: Table) -> None:
 
 
 def show_json(value: Any) -> None:
-    """Print what a program reads."""
+    """Print a value as JSON, for programs."""
     print(json.dumps(value, indent=2, ensure_ascii=False))
 
 
 def plain(columns: Iterable[str], rows: Rows = (), align: str = "l", *, title: str | None = None, caption: str | None = None) -> Table:
-    """A table without lines for the terminal; all of its texts may have markup.
-
-    align: l or r for each column, the last for all that follow.
-    """
+    """A table without lines for the terminal; texts may have markup. align: l or r for each column, the last for all further columns."""
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim", title=title, caption=caption)
     table.title_justify = table.caption_justify = "left"
     names = list(columns)
@@ -56,7 +53,7 @@ def plain(columns: Iterable[str], rows: Rows = (), align: str = "l", *, title: s
 
 
 def facts(rows: Mapping[str, str]) -> Table:
-    """A table of what is known of one thing, by name."""
+    """A table of names and values."""
     table = plain(("", ""), ((f"[bold]{escape(name)}[/]", escape(value)) for name, value in rows.items()))
     table.show_header = False
     return table
@@ -79,18 +76,15 @@ def number(value: float | None, form: str = "g", unit: str = "") -> str:
     return "–" if value is None or math.isnan(value) else f"{value:{form}}{unit}"
 
 
-LINE_S = 30.0  # between two lines at least
-
-
-class Advance(Protocol):
-    """Called after every step, or with no steps to show what goes on now."""
-
-    def __call__(self, steps: int = 1, now: str | None = None) -> None: ...
+LINE_S = 30.0  # least time between two lines of progress
 
 
 @contextmanager
-def progress(title: str, total: int, done: int = 0) -> Iterator[Advance]:
-    """Call what it gives after every step; `done` of the total are done already."""
+def progress(title: str, total: int, done: int = 0) -> Iterator[Callable[..., None]]:
+    """A progress bar, or lines of progress without a terminal. done: steps that are done already.
+
+    Yields `advance(steps=1, now=None)`, to be called after every step; now: description of the current work.
+    """
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     stderr = console(stderr=True)
     start, before = time.monotonic(), done

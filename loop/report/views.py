@@ -1,4 +1,4 @@
-"""The scene of lamp pictures: the lamps on their car, and views of the road that they light."""
+"""The scene of headlamp pictures: lamps on a car, and views of the road in their light."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -27,24 +27,24 @@ from luxloop.world.scene.triangles import Triangles
 SIDES = ("left", "right")
 SHADOW_PX = 1024  # width of a shadow map
 BIRDSEYE_X_M, BIRDSEYE_Y_M, BIRDSEYE_CELL_M = (-6.0, 100.0), (-20.0, 20.0), 0.1
-BIRDSEYE_HEIGHT_M = 300.0  # of the pinhole: a body 1.5 m high, 50 m aside, is seen 25 cm off
+BIRDSEYE_HEIGHT_M = 300.0  # of the pinhole: it displaces the top of a body 1.5 m high, 50 m aside, by 25 cm
 FARTHEST_M = 400.0  # length of a ray through fog that hits nothing
-NIGHT_LX = 0.03  # a clouded night near a town; by full moon it is ten times as much
-NEAR_BY = 0.05  # tolerance of a pixel's place on the road, as a share of its distance, which a row spans far ahead
+NIGHT_LX = 0.03  # ambient light of a clouded night near a town, a tenth of the full moon's
+NEAR_BY = 0.05  # tolerance of a pixel's place on the road, relative to its distance, since a row of pixels spans metres far ahead
 LUMINANCE_OF_RGB = np.array(LUMINANCE, np.float32)
 Image = NDArray[np.floating]
 
 
 @dataclass(frozen=True, eq=False)
 class LitCar:
-    """A car's lamps by side, "left" and "right" or one of them, with their utilisations `[n_p]`, one a module."""
+    """A car's lamps by side, "left" and "right" or one of them, with utilisations `[n_p]`, one a module, by side."""
 
     lamps: Mapping[str, Lamp]
     patterns: Mapping[str, Sequence[Tensor]]
     mount: HeadlightParams = field(default_factory=HeadlightParams)
 
     def under(self, commands: Mapping[str, Commands]) -> "LitCar":
-        """The car with modules turned and dimmed. commands: one per module, by side; sides left out are at rest."""
+        """The car with modules swivelled, levelled and dimmed. commands: by side, one a module; other sides stay as they are."""
         lamps, patterns = dict(self.lamps), dict(self.patterns)
         for side in lamps.keys() & commands.keys():
             modules = zip(lamps[side].modules, commands[side], strict=True)
@@ -54,14 +54,14 @@ class LitCar:
 
     @property
     def T_world_middle(self) -> Tensor:
-        """Reference pose `[4, 4]` of angles: that of the only lamp, or midway between two."""
+        """Reference pose `[4, 4]` of angles: the only lamp's, or the point midway between both."""
         if len(self.lamps) == 1:
             return T_world_lamp(next(iter(self.lamps)), self.mount)
         return pose_from_degrees((0.0, 0.0, self.mount.height_m))
 
     @cached_property
     def sources(self) -> tuple[Source, ...]:
-        """All modules that shine, in colour if any of them is coloured."""
+        """All modules that shine, in colour if one of them is coloured."""
         colour = any(module.headlight.chroma is not None for lamp in self.lamps.values() for module in lamp.modules)
         return tuple(
             source
@@ -70,7 +70,7 @@ class LitCar:
         )
 
     def intensity(self, h_deg: Tensor, v_deg: Tensor) -> Tensor:
-        """Luminous intensity in cd of all lamps together, in the shape of the angles, seen from far away."""
+        """Luminous intensity in cd of all lamps together in the far field, in the shape of the angles."""
         ray = direction(h_deg, v_deg).flatten(1)
         found = sum(lamp.intensity(self.patterns[side], ray) for side, lamp in self.lamps.items())
         assert isinstance(found, Tensor)
@@ -79,7 +79,7 @@ class LitCar:
 
 @dataclass(frozen=True)
 class RoadView:
-    """What a view shows: illuminance `[H, W]` in lx, NaN where nothing is; luminance `[H, W]` in cd/m^2, or `[H, W, 3]` in colour."""
+    """A view of the road: illuminance `[H, W]` in lx, NaN without a surface; luminance `[H, W]` in cd/m^2, or `[H, W, 3]` linear sRGB."""
 
     view: View
     surfaces: GBuffer
@@ -87,7 +87,7 @@ class RoadView:
     luminance: Image
 
     def on_road(self, x_m: float, y_m: float) -> tuple[float, float] | None:
-        """Image point in px of the road's surface at a place; None if it is not visible."""
+        """Image point in px of a place on the road; None if the place is not visible."""
         x, y, z = self.surfaces.position.flatten(1)
         away = torch.hypot(x - x_m, y - y_m).masked_fill(self.surfaces.object_id.flatten() != 0, torch.inf)
         nearest = int(away.argmin())
@@ -98,10 +98,10 @@ class RoadView:
 
 
 class Road:
-    """A scenario's road and objects at one time, ready to be looked at."""
+    """A scenario's road and objects at one time."""
 
     def __init__(self, scenario: Scenario | None = None, time_s: float = 0.0) -> None:
-        """Without a scenario: flat asphalt with a lane's markings."""
+        """scenario: by default flat asphalt with a lane's markings."""
         plain = {"name": "flat road", "surface": {"markings": True}, "light": {"ambient_lx": NIGHT_LX}}
         self.scenario, self.time_s = scenario or validate(plain, "flat road"), time_s
         self._shadows: WeakKeyDictionary[Source, ShadowMap] = WeakKeyDictionary()
@@ -123,9 +123,9 @@ class Road:
         return face_source(self.scenario.renderer)
 
     def look(self, car: LitCar, view: View, air: Medium | None = None) -> RoadView:
-        """The road in the light of the car, attenuated and veiled by the air unless it is clear.
+        """The road in the light of the car. air: fog that attenuates and scatters light; None for clear air.
 
-        Raises LuxloopError if the scenario names data that does not exist.
+        Raises LuxloopError if the scenario names missing data.
         """
         surfaces = gbuffer(self._triangles, view, self._face_source.face_ids(self._triangles, view))
         extinction = air.extinction_per_m if air else 0.0
@@ -140,7 +140,7 @@ class Road:
 
     @property
     def _shades(self) -> Triangles | None:
-        """What may throw a shadow."""
+        """Triangles that cast shadows; None where nothing does."""
         return None if self.scenario.road.kind == "flat" and not self.scenario.all_objects else self._triangles
 
     def _shadow(self, source: Source) -> ShadowMap:
@@ -153,12 +153,12 @@ class Road:
 
 
 def picture(light: Tensor) -> Image:
-    """Light `[H, W]`, or linear sRGB `[3, H, W]`, as an image `[H, W]` or `[H, W, 3]`."""
+    """Light `[H, W]`, or linear sRGB `[3, H, W]`, as an array `[H, W]` or `[H, W, 3]`."""
     return (light if light.dim() == 2 else light.movedim(0, -1)).cpu().numpy()
 
 
 def grey(image: Image) -> Image:
-    """An image `[H, W]` as it is, one in linear sRGB `[H, W, 3]` weighted as the eye does."""
+    """Luminance `[H, W]` of an image `[H, W]`, or `[H, W, 3]` in linear sRGB."""
     return image if image.ndim == 2 else image @ LUMINANCE_OF_RGB
 
 
@@ -171,7 +171,7 @@ def _through_air(
     shadows: Sequence[ShadowMap] | None,
     ambient_lx: float,
 ) -> Tensor:
-    """What is left of a luminance behind the air, and what the air scatters into it, of the lamps and of an even sky above."""
+    """A luminance attenuated by the air, plus the light that the air scatters towards the eye, of the lamps and of an even sky."""
     rays = view.rays().flatten(1)
     directions = (rays / rays.norm(dim=0)).float()
     distance = (surfaces.position.flatten(1) - view.origin[:, None]).norm(dim=0).float()
@@ -186,17 +186,17 @@ def _through_air(
 
 
 def driver(width_px: int = 1280) -> View:
-    """A driver's eye in a car that is steered on the left: 40 deg wide, 16 : 9, the horizon above the middle."""
+    """The view of a driver who sits on the left: 40 deg wide, 16 : 9, the horizon above the middle."""
     return _pinhole((-1.5, 0.36, 1.2), 4.0, 0.0, 40.0, width_px, round(width_px * 9 / 16))
 
 
 def beside(width_px: int = 960) -> View:
-    """From behind, above and to the left of the car, for beams in fog: 56 deg wide, 16 : 9."""
+    """The view from behind, above and to the left of the car, for beams in fog: 56 deg wide, 16 : 9."""
     return _pinhole((-10.5, 6.5, 3.4), 8.0, -27.0, 56.0, width_px, round(width_px * 9 / 16))
 
 
 def birdseye(cell_m: float = BIRDSEYE_CELL_M, x_m: tuple[float, float] = BIRDSEYE_X_M) -> View:
-    """The road from above, left and right as a map shows them that has the way ahead on its right: columns along x, row 0 far left."""
+    """The view from above: columns along x, ahead to the right, row 0 at the far left of the car."""
     (x0, x1), (y0, y1) = x_m, BIRDSEYE_Y_M
     width, height = round((x1 - x0) / cell_m), round((y1 - y0) / cell_m)
     focal = BIRDSEYE_HEIGHT_M / cell_m

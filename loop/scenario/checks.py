@@ -1,4 +1,4 @@
-"""Checks of a scenario: bounds on what its recording shows, so that a run says by itself whether it is as it should be."""
+"""Checks of a scenario: bounds on columns of its recording, which a run evaluates."""
 
 from typing import Literal, Self
 
@@ -11,7 +11,7 @@ By = Literal["ratio", "difference", "recall"]
 
 
 class CheckParams(Params):
-    """A column of the recording over a window of time, and the bounds that hold it."""
+    """Bounds on a statistic of a column of the recording over a window of time."""
 
     metric: str = Field(
         min_length=1,
@@ -19,22 +19,23 @@ class CheckParams(Params):
         description="column of the recording, such as `functions.symbol.iou` or `lamp.left.flux_lm`",
     )
     from_s: NotNegative = Field(0.0, description="start of the window")
-    until_s: NotNegative | None = Field(None, description="end of the window, which belongs to it; left out: the end of the run")
+    until_s: NotNegative | None = Field(None, description="end of the window, included; left out: the end of the run")
     take: Literal["mean", "min", "max", "last", "p50", "p90", "p99"] = Field(
-        "mean", description="what is taken of the values in the window; `p99`: the least value that 99 % of them do not exceed"
+        "mean", description="statistic of the values in the window; `p99`: the least value that 99 % of them do not exceed"
     )
     over_s: float | None = Field(
-        None, gt=0, le=1e6, description="take it of the moving means over so many consecutive seconds; left out: of the values themselves"
+        None, gt=0, le=1e6, description="take the statistic of moving means over this time; left out: of the values themselves"
     )
     at_least: float | None = Field(None, ge=-1e12, le=1e12, description="lower bound")
     at_most: float | None = Field(None, ge=-1e12, le=1e12, description="upper bound; one of the two bounds is required")
     compare: Baseline | None = Field(
-        None, description="light that runs beside it in the same world with the same noise; the bounds then hold what `by` says"
+        None,
+        description="baseline that runs beside in the same world with the same noise; the bounds then hold for the comparison `by`",
     )
     by: By = Field(
         "ratio",
-        description="how it compares: `ratio` of the two values, `difference` to the other's step by step, of which it takes, or `recall`, "
-        "the share of the steps in which the other's is above 0 in which its own is, too",
+        description="comparison with the baseline: `ratio` of both statistics, statistic of the `difference` per step, or `recall`: of the "
+        "steps in which the baseline's value is above 0 the share in which the run's is as well",
     )
 
     @model_validator(mode="after")

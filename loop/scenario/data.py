@@ -1,4 +1,4 @@
-"""Third-party roads and light distributions: named in a registry, found on this machine or fetched from their public source."""
+"""Third-party roads and light distributions by name, found on this machine or fetched from their public sources."""
 
 import os
 import tempfile
@@ -11,8 +11,8 @@ from typing import Literal
 
 from luxloop.world.errors import LuxloopError, did_you_mean
 
-FOLDER_VARIABLE = "LUXLOOP_DATA"  # folder with copies at hand
-MIRROR_VARIABLE = "LUXLOOP_DATA_URL"  # address that has the files under the registry's paths, in place of their sources
+FOLDER_VARIABLE = "LUXLOOP_DATA"  # folder with copies
+MIRROR_VARIABLE = "LUXLOOP_DATA_URL"  # address of a mirror with the registry's paths
 TIMEOUT_S = 30.0
 
 
@@ -32,7 +32,7 @@ class DataFile:
 
 @dataclass(frozen=True)
 class Download:
-    """Where a file is now; `downloaded` is False where it was there before."""
+    """Path of a file, and whether it was downloaded now."""
 
     path: Path
     downloaded: bool
@@ -40,7 +40,7 @@ class Download:
 
 @cache
 def registry() -> Mapping[str, DataFile]:
-    """The files that luxloop knows, by name."""
+    """Registered files, by name."""
     entries = tomllib.loads(Path(__file__).with_name("data_registry.toml").read_text("utf-8"))
     return {name: DataFile(name=name, **entry) for name, entry in entries.items()}
 
@@ -53,7 +53,9 @@ def entry(name: str) -> DataFile:
 
 
 def present(name: str) -> Path | None:
-    """Where the file is on this machine: in the folder `LUXLOOP_DATA` (as `roads/X`, `ies/X` or `X`), then among what was fetched."""
+    """Path of a registered file on this machine, None if missing: in the folder `LUXLOOP_DATA` (as `roads/X`, `ies/X` or `X`), then among
+    fetched files.
+    """
     file = Path(entry(name).file)
     own = os.environ.get(FOLDER_VARIABLE)
     if own and not Path(own).is_dir():
@@ -63,24 +65,24 @@ def present(name: str) -> Path | None:
 
 
 def find(name: str) -> Path:
-    """Path of a registered file on this machine. Raises LuxloopError that says how to get it."""
+    """Path of a registered file on this machine. Raises LuxloopError with the remedy if the file is missing."""
     if (path := present(name)) is not None:
         return path
     raise LuxloopError(f"data file {name!r} is not on this machine; get it with `luxloop data get {name}`")
 
 
 def locate(name_or_path: str | Path) -> Path:
-    """Path of what a scenario names: a path as it is, anything without a slash or a dot as a registered name."""
+    """Path of a file in a scenario, given by path or, without a slash or a dot, by registered name."""
     text = str(name_or_path)
     return Path(text) if any(mark in text for mark in "/\\.") else find(text)
 
 
 def get(name: str, directory: str | Path | None = None) -> Download:
-    """Fetch a registered file unless it is here already; without `directory` it goes where `find` looks.
+    """Fetch a registered file, whole or not at all, unless the machine has it. directory: by default the folder of fetched files.
 
-    `LUXLOOP_DATA_URL` is a mirror to ask instead of the file's source. A file must have the registered SHA-256: what is fetched appears
-    whole or not at all, and what was fetched before and has changed is fetched again. Raises LuxloopError where there is no connection, no
-    such file or another content, in the folder `LUXLOOP_DATA` too, which is the user's own.
+    The file comes from its source or from the mirror `LUXLOOP_DATA_URL`. A fetched file whose SHA-256 is not the registered one is fetched
+    again. Raises LuxloopError without a connection, for an unknown file, for other content, and for other content in the user's folder
+    `LUXLOOP_DATA`.
     """
     import pooch
 
@@ -120,7 +122,7 @@ def _download(wanted: DataFile, url: str, target: Path) -> None:
 
 
 def cache_folder() -> Path:
-    """Where fetched files are kept."""
+    """Folder of fetched files."""
     import pooch
 
     return Path(pooch.os_cache("luxloop"))

@@ -1,4 +1,4 @@
-"""Disturbances unknown to the controller: errors of what it assumes, and of frames at some steps."""
+"""Disturbances unknown to the controller: errors of calibration, aim and pixels, and disturbed frames."""
 
 import math
 from collections.abc import Iterable
@@ -13,10 +13,10 @@ FRAMES = ("on", "off")
 
 
 class Spell(Params):
-    """The steps over which something holds."""
+    """Steps over which a disturbance holds."""
 
     from_step: int = Field(0, ge=0, le=1_000_000, description="first step")
-    until_step: int | None = Field(None, gt=0, le=1_000_000, description="step at which it is over; left out: never")
+    until_step: int | None = Field(None, gt=0, le=1_000_000, description="step at which the disturbance is over; left out: never")
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -29,17 +29,17 @@ class Spell(Params):
 
 
 class FrameSpell(Spell):
-    """The steps and the frames of each in which something holds."""
+    """Steps over which a disturbance holds, and its frames in each step."""
 
-    frames: Literal["both", "on", "off"] = Field("both", description="frames of a step that it is in")
+    frames: Literal["both", "on", "off"] = Field("both", description="disturbed frames of a step")
 
     def holds_in(self, step: int, frame: int) -> bool:
-        """Whether it holds in a step's on frame (0) or off frame (1)."""
+        """Whether the disturbance holds in a step's on frame (0) or off frame (1)."""
         return self.holds(step) and self.frames in ("both", FRAMES[frame])
 
 
 class AmbientParams(FrameSpell):
-    """Another light beside the headlamps'."""
+    """A change of the light beside the own headlamps'."""
 
     factor: float = Field(
         ge=0, le=1000, examples=[2.0], description="all light but the own headlamps': sky, street lamps, other cars' lamps"
@@ -47,11 +47,11 @@ class AmbientParams(FrameSpell):
 
 
 class OncomingSpellParams(OncomingParams, FrameSpell):
-    """One oncoming headlamp: a source that faces the camera. It is seen, but lights nothing, and nothing hides it."""
+    """An oncoming headlamp: a source that faces the camera, lights nothing and is hidden by nothing."""
 
 
 class NoiseParams(Spell):
-    """A camera that is noisier than [camera] says."""
+    """More noise than [camera] has."""
 
     factor: float = Field(
         ge=0, le=100, examples=[2.0], description="standard deviation of shot and read noise, as a multiple of [camera]'s"
@@ -59,13 +59,13 @@ class NoiseParams(Spell):
 
 
 class DropsParams(Spell):
-    """Frames that are lost, beside camera.drop_probability."""
+    """Lost frames, besides camera.drop_probability."""
 
     probability: Share = Field(1.0, description="probability that a step's frames are lost")
 
 
 class PoseErrorParams(Params):
-    """How something is mounted otherwise than its own table says."""
+    """Error of a mounting pose relative to the scenario's."""
 
     x_m: float = Field(0.0, ge=-0.5, le=0.5, description="further ahead")
     y_m: float = Field(0.0, ge=-0.5, le=0.5, description="further to the left")
@@ -76,27 +76,27 @@ class PoseErrorParams(Params):
 
 
 class CalibrationParams(PoseErrorParams):
-    """What is true of the camera beyond what [camera] says and the controller believes."""
+    """Errors of the camera's calibration, that is of [camera], which the controller believes."""
 
     focal_percent: float = Field(0.0, gt=-50, le=50, description="longer focal length")
 
 
 class AimParams(PoseErrorParams):
-    """What is true of the lamps' mounting beyond what [headlight] says; modules turn about their own origins."""
+    """Errors of the lamps' aim relative to [headlight]; modules turn about their own origins."""
 
-    lamp: Literal["left", "right"] | None = Field(None, description="lamp that is meant; left out: all that shine")
+    lamp: Literal["left", "right"] | None = Field(None, description="misaimed lamp; left out: all that shine")
 
 
 class WearParams(Params):
-    """Pixels of the modules that shine which are dead or have aged; each module has its own."""
+    """Dead and aged pixels of the modules, drawn for each module that shines."""
 
     dead: Share = Field(0.0, description="share of pixels that are dead")
     aged: Share = Field(0.0, description="share of pixels that have aged")
-    aged_factor: Share = Field(0.5, description="light that an aged pixel has left")
+    aged_factor: Share = Field(0.5, description="remaining light of an aged pixel, relative to a new one")
     dead_pixels: tuple[Annotated[int, Field(ge=0, lt=2**31)], ...] = Field(
-        (), description="numbers of pixels that are dead in each module, row by row from the upper left"
+        (), description="numbers of dead pixels in each module, row by row from the upper left"
     )
-    seed: Seed = Field(0, description="seed of which pixels these are")
+    seed: Seed = Field(0, description="seed of the choice of pixels")
 
     @model_validator(mode="after")
     def _at_most_all(self) -> Self:
@@ -106,7 +106,7 @@ class WearParams(Params):
 
 
 class DisturbanceParams(Params):
-    """All that is unknown to the controller."""
+    """Disturbances unknown to the controller."""
 
     oncoming: tuple[OncomingSpellParams, ...] = Field((), description="headlamps that face the camera")
     ambient: tuple[AmbientParams, ...] = Field((), description="changes of the light beside the headlamps'; several multiply")
@@ -129,7 +129,7 @@ class DisturbanceParams(Params):
         return (each for each in self.oncoming if each.holds_in(step, frame))
 
     def loss_probability(self, step: int, always: float) -> float:
-        """Probability that a step's frames are lost where `always` is that of the camera."""
+        """Probability that a step's frames are lost. always: the camera's own probability."""
         return 1 - (1 - always) * math.prod(1 - each.probability for each in self.drops if each.holds(step))
 
 

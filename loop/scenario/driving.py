@@ -1,7 +1,4 @@
-"""A scenario whose vehicle somebody drives: its course goes on step by step."""
-
-from collections.abc import Iterator
-from typing import Any
+"""A scenario whose vehicle is driven by hand: its course grows step by step."""
 
 from luxloop.loop.scenario.edits import Edit, with_overrides
 from luxloop.loop.scenario.model import Scenario
@@ -16,8 +13,7 @@ MOST_STEPS = 100_000
 
 
 def begin_drive(scenario: Scenario, step: int) -> Scenario:
-    """The scenario for somebody who drives from a step on: the road is there all around, the course stays as it is from then on, and the
-    traffic remains that which was met along the course so far.
+    """The scenario for a driver who takes over at a step: with a road all around, the course so far, and the traffic along the old course.
 
     Raises LuxloopError where the vehicle cannot be driven.
     """
@@ -33,21 +29,21 @@ def begin_drive(scenario: Scenario, step: int) -> Scenario:
 
 
 def continue_drive(scenario: Scenario, step: int, controls: Controls) -> tuple[Scenario, tuple[str, ...]]:
-    """The scenario with a course for one step more, and the overrides that make it.
-
-    Raises LuxloopError where it has as many steps as can be.
-    """
+    """The scenario with one more step of the course, and the overrides for it. Raises LuxloopError at the largest number of steps."""
     added = drive_on(_vehicle(scenario), step / scenario.rate_hz, (step + 1) / scenario.rate_hz, controls)
     return _longer(scenario, added, _steps(step))
 
 
 def end_drive(scenario: Scenario, step: int, steps: int) -> tuple[Scenario, tuple[str, ...]]:
-    """The same where nobody drives any more, with at least as many steps as given: the vehicle goes straight on as fast as it is."""
+    """The scenario without a driver from a step on, and the overrides for it: the vehicle goes straight on at its speed.
+
+    steps: least number of steps.
+    """
     return _longer(scenario, let_go(_vehicle(scenario), step / scenario.rate_hz), max(scenario.steps, steps))
 
 
 def with_drive(scenario: Scenario, now: Scenario) -> Scenario:
-    """A scenario with the course that was driven in another one, if that was."""
+    """A scenario with the driven course of another one; unchanged if that was not driven."""
     if now.vehicle is None or scenario.vehicle is None or not now.vehicle.roams:
         return scenario
     vehicle, traffic = scenario.vehicle.model_copy(update={"course": now.vehicle.course, "roams": True}), scenario.traffic
@@ -57,24 +53,23 @@ def with_drive(scenario: Scenario, now: Scenario) -> Scenario:
 
 
 def repeat(scenario: Scenario, edit: Edit) -> Scenario:
-    """A scenario after an edit. Modules that it names may run, unless somebody drove. Raises LuxloopError as `changed`."""
+    """A scenario after an edit. Modules that the edit names may run, but not by a driver's edit.
+
+    Raises LuxloopError as `luxloop.validate`, and where a driver's edit changes anything but course and steps.
+    """
     if not edit.driven:
         return with_overrides(scenario, edit.overrides)
     course, steps = _vehicle(scenario).course, scenario.steps
-    for key, value in (item for each in edit.overrides for item in _items(tables(each))):
-        if key == "steps" and isinstance(value, int) and 1 <= value <= MOST_STEPS:
-            steps = value
-        elif key == f"vehicle.course[{len(course)}]" and isinstance(value, dict):
-            course = (*course, validate_model(CourseParams, value, "record the run again"))
-        else:
-            raise LuxloopError(f"edits: {key} is nothing that somebody drives; record the run again")
+    for override in edit.overrides:
+        following = f"[{len(course)}]"
+        match tables(override):
+            case {"steps": int(value), **others} if 1 <= value <= MOST_STEPS and not others:
+                steps = value
+            case {"vehicle": {"course": {**places}, **rest}, **others} if places.keys() == {following} and not (rest or others):
+                course = (*course, validate_model(CourseParams, places[following], "record the run again"))
+            case _:
+                raise LuxloopError(f"edits: {override.partition('=')[0]} is not set by a driver; record the run again")
     return _longer(scenario, course[len(_vehicle(scenario).course) :], steps)[0]
-
-
-def _items(given: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    for key, value in given.items():
-        places = value.get("course") if key == "vehicle" and isinstance(value, dict) and value.keys() == {"course"} else None
-        yield from ((f"vehicle.course{place}", each) for place, each in places.items()) if isinstance(places, dict) else [(key, value)]
 
 
 def _vehicle(scenario: Scenario) -> VehicleParams:
@@ -84,7 +79,7 @@ def _vehicle(scenario: Scenario) -> VehicleParams:
 
 
 def _steps(step: int) -> int:
-    """The number of steps of a run that goes on after a step."""
+    """Number of steps of a run that continues after a step."""
     if step + 2 > MOST_STEPS:
         raise LuxloopError(f"drive: a run has {MOST_STEPS} steps at most; start anew")
     return step + 2

@@ -1,4 +1,4 @@
-"""Changes of a scenario while it runs: other values of keys from a step on."""
+"""Edits of a scenario during its run: other values of keys from a step on."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, Literal
@@ -13,7 +13,7 @@ from luxloop.world.validation import toml
 
 Acts = Literal["step", "prepared", "restart"]
 
-# by the longest beginning of a key
+# when a change of a key acts, by the longest known beginning of the key
 ACTS: Final[dict[str, Acts]] = {
     "": "prepared",
     **dict.fromkeys(("name", "description", "steps", "judge_every", "checks", "conditions", "lighting", "functions"), "step"),
@@ -25,7 +25,7 @@ ACTS: Final[dict[str, Acts]] = {
 
 
 class Edit(Params):
-    """Other values of keys, as `--set` has them, from the beginning of a step on. driven: by somebody who drives."""
+    """Other values of keys, as of `--set`, from the beginning of a step on. driven: whether a driver's controls made the edit."""
 
     step: int = Field(ge=0)
     overrides: tuple[str, ...]
@@ -33,26 +33,26 @@ class Edit(Params):
 
 
 def add(edits: list[Edit], edit: Edit) -> None:
-    """Add an edit to others, in place of the last one where it sets the same keys of the same step anew."""
+    """Add an edit to a list, in place of the last edit if it sets the same keys of the same step."""
     if edits and replaces(edit, edits[-1]):
         edits.pop()
     edits.append(edit)
 
 
 def replaces(edit: Edit, last: Edit) -> bool:
-    """Whether nothing of the last one is left; tables add up."""
+    """Whether an edit overrides all of the last one; tables are merged instead."""
     keys, before = ([each.partition("=")[0].strip() for each in one.overrides] for one in (edit, last))
     table = any(each.partition("=")[2].lstrip().startswith("{") for each in edit.overrides)
     return (edit.step, edit.driven, keys) == (last.step, last.driven, before) and not table
 
 
 def with_overrides(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
-    """A scenario with other values of keys. Modules that they name may run. Raises LuxloopError as `validate`."""
+    """A scenario with other values of keys. Modules that the values name may run. Raises LuxloopError as `validate`."""
     return validate(overridden(scenario.model_dump(mode="json"), overrides), scenario.source)
 
 
 def differences(before: Scenario, after: Scenario) -> tuple[str, ...]:
-    """Overrides that make one scenario of another. Raises LuxloopError where there are none."""
+    """Overrides that turn one scenario into another. Raises LuxloopError where there are none."""
     found = tuple(_differences(before.model_dump(mode="json"), after.model_dump(mode="json")))
     if with_overrides(before, found) != after:
         raise LuxloopError(f"{after.name}: this change cannot be said in values of keys; open the scenario anew")
@@ -73,11 +73,9 @@ def _differences(before: Mapping[str, Any], after: Mapping[str, Any], within: st
 
 
 def acts(before: Scenario, after: Scenario) -> Acts:
-    """When what tells two scenarios apart acts: at the next step; once it is prepared, while the simulation goes on; or in one that starts
-    anew.
-    """
+    """When a change of scenario acts: at the next step, after a preparation while the simulation continues, or only in a new run."""
     found = set[Acts]()
-    for key in Scenario.model_fields:  # not its source, which overrides change
+    for key in Scenario.model_fields:  # not `source`, which overrides change
         if (old := getattr(before, key)) != (value := getattr(after, key)):
             inner = [f"{key}.{name}" for name, each in value if each != getattr(old, name)] if key in ("headlight", "camera") else [key]
             found |= {ACTS.get(each) or ACTS.get(key) or ACTS[""] for each in inner}
@@ -85,5 +83,5 @@ def acts(before: Scenario, after: Scenario) -> Acts:
         return "restart"
     if "restart" in found or (found - {"step"} and after.plant.kind != "simulated"):
         return "restart"
-    longer = before.steps != after.steps and after.vehicle is not None  # for which its motion is integrated
+    longer = before.steps != after.steps and after.vehicle is not None  # its motion is integrated over all steps
     return "prepared" if "prepared" in found or longer or before.meters_light != after.meters_light else "step"

@@ -1,4 +1,4 @@
-"""What comes with luxloop, by kind: the name of each and what it is. `luxloop list` shows it."""
+"""Shipped parts by kind, with names and descriptions, for `luxloop list`."""
 
 import tomllib
 from importlib import import_module
@@ -20,7 +20,7 @@ USES: dict[Kind, str] = {
     "examples": "Copy one with `luxloop new --like NAME`.",
 }
 
-VARIANTS: dict[Kind, str] = {  # of tables of a scenario
+VARIANTS: dict[Kind, str] = {  # unions of a scenario's tables
     "controllers": "controllers.symbol.ControllerParams",
     "functions": "controllers.functions.planner.FunctionParams",
     "plants": "loop.scenario.plant.PlantParams",
@@ -30,9 +30,10 @@ VARIANTS: dict[Kind, str] = {  # of tables of a scenario
 
 
 def listing(kind: Kind) -> list[dict[str, Any]]:
-    """All of a kind: `name` and `description`; of a scenario also what it `uses` and the data file that it `lacks` on this machine, if any.
+    """`name` and `description` of all parts of a kind; of scenarios also `uses` (controllers and kinds of lighting functions) and `lacks`
+    (a data file that is missing on this machine, or None).
 
-    Imports no more than the kind needs: scenarios, symbols and examples are read as files.
+    Scenarios, symbols and examples are read as files, without heavy imports.
     """
     match kind:
         case "scenarios":
@@ -52,10 +53,7 @@ def listing(kind: Kind) -> list[dict[str, Any]]:
 
 
 def _scenarios() -> list[dict[str, Any]]:
-    """Read without validation, which the tests have done.
-
-    uses: controllers of symbols and kinds of other lighting functions, or the base beam where there are none.
-    """
+    """Shipped scenarios. uses: controllers of symbols and kinds of other lighting functions, or else the base beam."""
     found = []
     for name, content in _contents().items():
         road, lighting = content.get("road", {}).get("file", ""), content.get("lighting", {})
@@ -80,7 +78,7 @@ def _showing(symbol: str) -> list[str]:
 
 
 def _variants(name: str) -> list[dict[str, Any]]:
-    """The variants of a table that luxloop has, each by its tag and the first sentence of its docstring; own parts have no name to list."""
+    """Variants of a union by tag, described by the first sentences of their docstrings; the user's own parts have no tag."""
     from luxloop.world.plugin import OWN, by_tag
 
     module, _, union = name.rpartition(".")

@@ -1,4 +1,4 @@
-"""Scenario files: a typed, frozen model; TOML, `--set key=value` and every other front end edit it alone."""
+"""Scenario files: a typed, frozen model, which TOML, `--set key=value` and all other front ends edit."""
 
 import hashlib
 import json
@@ -42,22 +42,20 @@ PIXEL_CONTROLLERS = ("ssc", "jpo")
 
 
 class HeadlightParams(Params):
-    """The vehicle's pair of headlamps, of which all modules shine unless some are named."""
+    """The vehicle's pair of headlamps."""
 
     model: str = Field("ssl-hd", min_length=1, description="preset, or lamp file: .npz, .toml, .ies or .ldt")
     intensity_cd: float | None = Field(
-        None, gt=0, le=500_000, description="peak of the brightest module, all pixels on; left out: the model's own"
+        None, gt=0, le=500_000, description="peak of the brightest module with all pixels on; left out: the model's own"
     )
     height_m: float = Field(0.75, gt=0.1, le=2.0, description="height of the lamps' origins above the road")
     distance_m: float = Field(1.2, ge=0, le=3, description="distance between the lamps' origins")
     lamps: tuple[Literal["left", "right"], ...] = Field(("left", "right"), min_length=1, description="lamps that shine")
-    modules: tuple[str, ...] | None = Field(None, min_length=1, description="their modules that shine; left out: all")
-    swivel_deg: float = Field(0.0, ge=-30, le=30, description="swivel at rest of modules that can be swivelled, to the left")
-    level_deg: float = Field(0.0, ge=-10, le=10, description="level at rest of modules that can be levelled, down")
-    standby_w: NotNegative = Field(5.0, description="electrical power of a lamp that is dark: its electronics and fan")
-    efficacy_lm_w: float = Field(
-        40.0, gt=0, le=1000, description="luminous flux that leaves a lamp for each watt that its light sources take"
-    )
+    modules: tuple[str, ...] | None = Field(None, min_length=1, description="modules that shine; left out: all")
+    swivel_deg: float = Field(0.0, ge=-30, le=30, description="rest position of modules that swivel, to the left")
+    level_deg: float = Field(0.0, ge=-10, le=10, description="rest position of modules that are levelled, down")
+    standby_w: NotNegative = Field(5.0, description="electrical power of a dark lamp: electronics and fan")
+    efficacy_lm_w: float = Field(40.0, gt=0, le=1000, description="luminous flux of a lamp per electrical power of its light sources")
 
     @field_validator("lamps", "modules")
     @classmethod
@@ -67,21 +65,21 @@ class HeadlightParams(Params):
         return names
 
     def power_w(self, flux_lm: float) -> float:
-        """Electrical power of one lamp that gives so much light."""
+        """Electrical power of one lamp in W at a luminous flux."""
         return self.standby_w + flux_lm / self.efficacy_lm_w
 
 
 class LightParams(Params):
-    """Light that is there without the headlights."""
+    """Light besides the headlamps'."""
 
     ambient_lx: float = Field(0.3, ge=0, le=100_000, description="illuminance of a surface facing the sky")
     street_lamps: tuple[StreetLamp, ...] = Field((), description="point lights")
 
 
 class RoadConditionParams(Params):
-    """Rain and street lighting from one time on, as lighting functions know them."""
+    """Rain and street lighting from one time on, for lighting functions."""
 
-    time_s: NotNegative = Field(0.0, description="time from which on this holds, until the next entry")
+    time_s: NotNegative = Field(0.0, description="start of these conditions, which hold until the next entry")
     wet: bool = Field(False, description="whether it rains")
     street_lit: bool = Field(False, description="whether street lamps light the road")
 
@@ -91,7 +89,7 @@ class Scenario(Params):
 
     schema_version: Literal[1] = Field(SCHEMA_VERSION, description="version of this file format")
     name: str = Field(min_length=1, max_length=80, examples=["mine"], description="name, for tables and reports")
-    description: str = Field("", description="what is to be seen, in a sentence")
+    description: str = Field("", description="what the scenario shows, in a sentence")
     steps: int = Field(40, ge=1, le=100_000, description="control steps")
     rate_hz: float = Field(30.0, ge=0.1, le=1000, description="control rate")
     seed: Seed = Field(0, description="seed of all noise")
@@ -99,32 +97,32 @@ class Scenario(Params):
     surface: RoadSurfaceParams = Field(RoadSurfaceParams(), description="the road's albedo")
     spots: tuple[SpotParams, ...] = Field((), description="spots on the road, unknown to the controller")
     objects: tuple[ObjectParams, ...] = Field((), description="objects on the road")
-    traffic: TrafficParams | None = Field(None, description="objects besides, made from a seed; left out: none")
+    traffic: TrafficParams | None = Field(None, description="further objects, drawn from a seed; left out: none")
     light: LightParams = Field(LightParams(), description="ambient light and street lamps")
     headlight: HeadlightParams = Field(HeadlightParams(), description="the lamps")
-    modules: Mapping[str, ModuleSourceParams] = Field({}, description="where the light of modules comes from, by their names")
+    modules: Mapping[str, ModuleSourceParams] = Field({}, description="sources of modules' light, by module")
     camera: CameraParams = Field(CameraParams(), description="the camera")
-    pixel_controller: str = Field("ssc", description="what drives the pixels: ssc, jpo, or your own as package.module:Name")
-    ssc: MrpcParams = Field(MrpcParams(), description="SuperSampling Control, which joint pixel optimisation starts from")
+    pixel_controller: str = Field("ssc", description="pixel controller: ssc, jpo, or your own as package.module:Name")
+    ssc: MrpcParams = Field(MrpcParams(), description="SuperSampling Control, also the start of joint pixel optimisation")
     jpo: JpoParams = Field(JpoParams(), description='joint pixel optimisation, with pixel_controller = "jpo"')
     renderer: Literal["auto", "opengl", "raycast"] = Field("auto", description="source of the G-buffer")
-    checks: Mapping[PlainName, CheckParams] = Field({}, description="bounds on what the recording shows, by name")
+    checks: Mapping[PlainName, CheckParams] = Field({}, description="bounds on columns of the recording, by name")
     disturbances: DisturbanceParams = Field(DisturbanceParams(), description="disturbances unknown to the controller")
-    vehicle: VehicleParams | None = Field(None, description="how the vehicle drives; left out: it stands")
+    vehicle: VehicleParams | None = Field(None, description="the vehicle's motion; left out: it stands")
     sensors: SensorParams = Field(SensorParams(), description="sensors of the vehicle's motion")
-    plant: Annotated[PlantParams, Field(description="what shows the light and exposes the frames")] = SimulatedPlantParams()
-    judge_every: int = Field(1, ge=0, le=100_000, description="steps from one evaluation of a symbol that is held to the next; 0: none")
-    off_share: float = Field(0.5, gt=0, lt=1, description="share of a control step for which symbols that are held are off")
+    plant: Annotated[PlantParams, Field(description="shows the light and exposes the frames")] = SimulatedPlantParams()
+    judge_every: int = Field(1, ge=0, le=100_000, description="steps from one evaluation of a symbol under control to the next; 0: none")
+    off_share: float = Field(0.5, gt=0, lt=1, description="share of a control step for which symbols under control are off")
     conditions: tuple[RoadConditionParams, ...] = Field(
         (RoadConditionParams(),), min_length=1, description="rain and street lighting, in ascending time"
     )
-    lighting: LightingParams = Field(LightingParams(), description="base beam, and what holds for all lighting functions")
-    functions: Functions = Field({}, description="lighting functions, each by its name")
+    lighting: LightingParams = Field(LightingParams(), description="base beam, and limits of all lighting functions")
+    functions: Functions = Field({}, description="lighting functions, by name")
     detector: DetectorParams | None = Field(
-        None, description="what finds objects in the camera's frames; left out: lighting functions get the true places of all"
+        None, description="finds objects in the camera's frames; left out: lighting functions get the true positions of all objects"
     )
     detector_frames: Literal["on", "off", "both"] = Field(
-        "on", description="where controllers hold symbols: frames that the detector gets, with the measured symbols, without them, or both"
+        "on", description="with symbols under control: frames for the detector, with the measured symbols, without them, or both"
     )
     tracker: AnyTracker = Field(TrackerParams(), description="follows detections from frame to frame")
 
@@ -144,19 +142,18 @@ class Scenario(Params):
 
     @property
     def all_objects(self) -> tuple[ObjectParams, ...]:
-        """The objects that are given one by one, and those of the traffic, in which the vehicle stands or drives."""
+        """The objects of the scenario and of its traffic."""
         if self.traffic is None:
             return self.objects
         return self.objects + (self.traffic.along(self.vehicle, self.steps / self.rate_hz) if self.vehicle else self.traffic.objects())
 
     def conditions_at(self, time_s: float) -> RoadConditionParams:
-        """Those of a time; the first before they begin."""
-        there = (each for each in self.conditions if each.time_s <= time_s)
-        return max(there, key=lambda each: each.time_s, default=self.conditions[0])
+        """Conditions at a time; before their start the first ones."""
+        return [self.conditions[0], *(each for each in self.conditions if each.time_s <= time_s)][-1]
 
     @cached_property
     def source(self) -> str:
-        """Where it was read, for messages; its name where it was made in Python."""
+        """Path and overrides of the scenario, for messages; its name if made in Python."""
         return self.name
 
     @property
@@ -166,9 +163,9 @@ class Scenario(Params):
 
     @property
     def meters_light(self) -> bool:
-        """Whether the light on objects or for functions is asked for, beside what the camera sees."""
-        told = any(each.category for each in self.all_objects) or self.digitised_module is not None
-        return told or self.detector is not None or len(self.functions) > len(self.symbols)
+        """Whether illuminances of surfaces are needed, for objects or functions, in addition to the camera's image."""
+        lit = any(each.category for each in self.all_objects) or self.digitised_module is not None
+        return lit or self.detector is not None or len(self.functions) > len(self.symbols)
 
     @property
     def digitised_module(self) -> str | None:
@@ -177,7 +174,7 @@ class Scenario(Params):
 
     @property
     def symbols(self) -> Mapping[str, SymbolFunctionParams]:
-        """The symbols under control, each by its name."""
+        """The symbols under control, by name."""
         functions = self.functions.items()
         return {name: each for name, each in functions if isinstance(each, SymbolFunctionParams) and each.controller is not None}
 
@@ -188,12 +185,12 @@ class Scenario(Params):
 
     @property
     def shares(self) -> tuple[float, ...]:
-        """Of a control step, one an exposure: with the symbols that are held and without them, or the whole."""
+        """Shares of a control step, one an exposure: with symbols under control and without them, or the whole."""
         return (1 - self.off_share, self.off_share) if self.symbols else (1.0,)
 
     @property
     def lights(self) -> tuple[Baseline, ...]:
-        """Those that checks may compare with."""
+        """Baselines that checks may compare with."""
         return ("full_light", "low_beam", *(("open_loop",) if self.symbols else ()))
 
 
@@ -214,7 +211,7 @@ def _lamps(scenario: Scenario) -> Iterator[str]:
 
 
 def _modules(scenario: Scenario) -> Iterator[str]:
-    """Contradictions between the sources of modules' light: one beam on the screen at most."""
+    """Contradictions between the sources of modules' light: at most one beam is digitised."""
     for name, each in scenario.modules.items():
         if each.source == "digitised" and name != (first := scenario.digitised_module):
             yield f"modules.{name}.source: {first} is digitised, too, and a camera cannot tell two beams apart; simulate one"
@@ -225,7 +222,9 @@ def _modules(scenario: Scenario) -> Iterator[str]:
 
 
 def _exposures(scenario: Scenario) -> Iterator[str]:
-    """Contradictions between exposures and the control period: on and off frames with symbols under control, else on frames alone."""
+    """Contradictions between exposures and the control period, which has an on and an off frame with symbols under control, else an on
+    frame.
+    """
     if scenario.symbols:
         exposure_s, share, rate_hz = scenario.camera.exposure_s, min(scenario.off_share, 1 - scenario.off_share), scenario.rate_hz
         if exposure_s > share / rate_hz:
@@ -262,7 +261,7 @@ def _detection(scenario: Scenario) -> Iterator[str]:
 
 
 def _order(scenario: Scenario) -> Iterator[str]:
-    """Times that do not ascend, and names that occur twice."""
+    """Times that do not ascend, and duplicate names."""
     times, names = [each.time_s for each in scenario.conditions], [each.name for each in scenario.all_objects]
     if any(later <= earlier for earlier, later in pairwise(times)):
         yield f"conditions: time_s must ascend from entry to entry, here {times}"
@@ -271,7 +270,7 @@ def _order(scenario: Scenario) -> Iterator[str]:
 
 
 def object_names(function: Any) -> Iterator[tuple[str, str]]:
-    """Names of the objects that a function names, each after its key."""
+    """Names of objects in a function's parameters, each after its key."""
     for table in ("", "when.", "unless."):
         selection = getattr(function, table[:-1], None) if table else function
         yield from ((f"{table}names", name) for name in getattr(selection, "names", None) or ())
@@ -280,7 +279,7 @@ def object_names(function: Any) -> Iterator[tuple[str, str]]:
 
 
 def only(held: Iterable[str]) -> str:
-    """The one name there is of symbols that a controller holds. Raises LuxloopError where there are several or none."""
+    """Name of the only symbol under control. Raises LuxloopError where there are several or none."""
     names = tuple(held)
     if len(names) != 1:
         raise LuxloopError(f"symbols that a controller holds: {', '.join(names) or 'none'}, where exactly one is needed")
@@ -291,13 +290,12 @@ EXAMPLES: Final = "`luxloop new FILE` writes a complete file, `luxloop new FILE 
 
 
 def load(name: str, overrides: Sequence[Override] = (), *, allow_code: bool = False, **values: Any) -> Scenario:
-    """Read a scenario by shipped name or path; values are top-level keys, overrides on top of them.
+    """Read a scenario by shipped name or path.
 
-    A value `controller` is that of the only symbol that a controller holds. allow_code: whether modules that a file names may run; those
-    named in values and in overrides that are no files always may.
-
-    An override is `key.sub=value` or `list[0].sub=value` in TOML syntax, the path of a TOML file of such keys, or nested tables; it changes
-    single keys of tables that have defaults, too. Raises LuxloopError that names the file, the key and the remedy.
+    overrides: each `key.sub=value` or `list[0].sub=value` in TOML syntax, the path of a TOML file of such keys, or nested tables; they
+    change single keys, also of tables with defaults. values: top-level keys, below the overrides; `controller` is that of the only symbol
+    under control. allow_code: whether modules that files name may run; modules in values and other overrides always may. Raises
+    LuxloopError that names the file, the key and the remedy.
     """
     path = find(name)
     data = read_toml(path)
@@ -306,20 +304,20 @@ def load(name: str, overrides: Sequence[Override] = (), *, allow_code: bool = Fa
 
 
 def load_data(data: dict[str, Any], path: Path, overrides: Sequence[Override], values: Mapping[str, Any], *, allow_code: bool) -> Scenario:
-    """The scenario of plain data that were read at a path, with other values; the rest, and what is raised, as for `load`."""
+    """A scenario from plain data read at a path; other arguments and errors as of `load`."""
     keys = tables(values)
     if "controller" in keys:
         _only_symbol(data, path)["controller"] = keys.pop("controller")
     data.update(keys)
     if overrides:
-        with suppress(LuxloopError):  # of data with errors, which overrides may mend
+        with suppress(LuxloopError):  # overrides may mend errors of the data
             data = validate(data, "").model_dump(mode="json")
         data = overridden(data, overrides)
-    given = [
+    changes = [
         *(f"{key}={_name(value)}" for key, value in values.items()),
         *dict.fromkeys(override if isinstance(override, str) else "these changes" for override in overrides if override),
     ]
-    scenario = validate(data, f"{path} with {' '.join(given)}" if given else str(path))
+    scenario = validate(data, f"{path} with {' '.join(changes)}" if changes else str(path))
     if not allow_code:
         typed = texts([tables(each) for each in (values, *overrides) if not is_file(each)])
         refuse_code(scenario, scenario.source, typed={text for _, text in typed})
@@ -327,14 +325,13 @@ def load_data(data: dict[str, Any], path: Path, overrides: Sequence[Override], v
 
 
 def _name(value: Any) -> Any:
-    """A table's name, or the folder of a recording, for messages."""
+    """Name or folder in a table, for messages; other values as they are."""
     return next((value[key] for key in ("name", "folder") if key in value), value) if isinstance(value, dict) else value
 
 
 def validate(data: Mapping[str, Any], source: str) -> Scenario:
-    """Check a scenario given as plain data.
+    """The scenario of plain data. Modules that the data name may run. source: of the data, for messages.
 
-    Modules that it names may run: it is for data of the caller's own, and for what `load` has let pass.
     Raises LuxloopError that names the source, the key and the remedy.
     """
     version = data.get("schema_version", SCHEMA_VERSION)
@@ -349,7 +346,7 @@ def validate(data: Mapping[str, Any], source: str) -> Scenario:
 
 
 def _spelt_out(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The same data with tables where functions give a controller by its name alone."""
+    """Plain data with a table for each controller that a function gives by name."""
     functions = data.get("functions")
     if not isinstance(functions, Mapping):
         return data
@@ -362,11 +359,11 @@ def _spelt_out(data: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _only_symbol(data: dict[str, Any], path: Path) -> dict[str, Any]:
-    """The table of the only symbol that a controller holds. Raises LuxloopError where there are several or none."""
+    """Table of the only symbol under control. Raises LuxloopError where there are several or none."""
     functions = data.get("functions")
     items = functions.items() if isinstance(functions, dict) else ()
     held = {name: each for name, each in items if isinstance(each, dict) and "controller" in each}
     if len(held) == 1:
         return next(iter(held.values()))
-    told = f"several symbols have one: {', '.join(held)}; set functions.NAME.controller" if held else "none of its functions has one"
-    raise LuxloopError(f"{path}: controller: {told}")
+    why = f"several symbols have one: {', '.join(held)}; set functions.NAME.controller" if held else "none of its functions has one"
+    raise LuxloopError(f"{path}: controller: {why}")

@@ -1,4 +1,4 @@
-"""Other values for a scenario's keys, as `--set` and tables give them, laid over its plain data."""
+"""Overrides: other values for a scenario's keys, from `--set`, files or tables, merged into its plain data."""
 
 import copy
 import json
@@ -13,50 +13,50 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.validation import parsed_toml, read_toml
 
 Override = str | Mapping[str, Any]
-FUNCTIONS = ("", "functions.*.")  # `load` may give a controller beside them
-FILES = (  # keys of paths, where * stands for each name, and a list's items are all meant
+FUNCTIONS = ("", "functions.*.")  # tables of controllers: an argument of `load`, and those of functions
+FILES = (  # keys of paths; * is any name, and a key of a list is that of all its items
     *("road.file", "headlight.model", "plant.folder", "detector.file", "detector.weights", "objects.file", "objects.*.file"),
     *("functions.image", "functions.*.image", "lighting.raw.file", "lighting.raw.*.file"),
     *(f"{function}controller.road.file" for function in FUNCTIONS),
 )
-CLASSES = (  # keys that may name a class of the user's own
+CLASSES = (  # keys that may name the user's own class
     *("road.kind", "detector.kind", "tracker.kind", "plant.kind", "functions.*.kind", "pixel_controller"),
     *(f"{function}{key}" for function in FUNCTIONS for key in ("controller.road.kind", "controller.name", "controller", "extraction.kind")),
 )
-INDEX = re.compile(r"\[(\d+)\]")  # of a list's item in --set objects[0].albedo=0.5
-CLEARED: Final = object()  # in place of what goes back to its default
-TAGS = ("kind", "name")  # keys that tell the variants of a table apart: the first that it has
+INDEX = re.compile(r"\[(\d+)\]")  # of a list's item, as in --set objects[0].albedo=0.5
+CLEARED: Final = object()  # in place of a value that returns to its default
+TAGS = ("kind", "name")  # keys that name the variant of a table; the first one present counts
 
 
 def overridden(data: Mapping[str, Any], overrides: Sequence[Override]) -> dict[str, Any]:
-    """Plain data of a scenario with other values, of later overrides where several set a key. Raises LuxloopError where one is none.
+    """Plain data of a scenario with overrides, of which later ones win. Raises LuxloopError for an invalid override.
 
-    Variants of tables are chosen first, so that an override of a key may come before that of its table's variant.
+    Variants of tables are chosen first, so that an override of a key may precede the override of its table's variant.
     """
-    given = [tables(override) for override in overrides]
+    nested = [tables(override) for override in overrides]
     changed = copy.deepcopy(dict(data))
-    for changes in (*map(_variants, given), *given):
+    for changes in (*map(_variants, nested), *nested):
         _merge(changed, changes)
     left: dict[str, Any] = _clear(changed)
     return left
 
 
 def _clear(data: Any) -> Any:
-    """Plain data without what was cleared."""
+    """Plain data without cleared values."""
     if isinstance(data, dict):
         return {key: _clear(value) for key, value in data.items() if value is not CLEARED}
     return [_clear(value) for value in data if value is not CLEARED] if isinstance(data, list) else data
 
 
 def _variants(changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of the changes that choose variants of tables; items of lists, which an earlier change may make, are left out."""
-    given = {key: value for key, value in changes.items() if not INDEX.fullmatch(key)}
-    chosen = {key: _variants(value) if isinstance(value, dict) else key in TAGS and value for key, value in given.items()}
-    return {key: value for key, value in chosen.items() if value}
+    """The changes that choose variants of tables, except in items of lists, which an earlier change may add."""
+    named = ((key, value) for key, value in changes.items() if not INDEX.fullmatch(key))
+    chosen = ((key, _variants(value) if isinstance(value, dict) else key in TAGS and value) for key, value in named)
+    return {key: value for key, value in chosen if value}
 
 
 def texts(data: Any, key: str = "") -> Iterator[tuple[str, str]]:
-    """All texts in plain data, each after the key that it stands at."""
+    """All texts in plain data, each after its key."""
     if isinstance(data, str):
         yield key, data
     elif isinstance(data, Mapping | list | tuple):
@@ -66,7 +66,7 @@ def texts(data: Any, key: str = "") -> Iterator[tuple[str, str]]:
 
 
 def toml_key(key: str) -> str:
-    """A key as TOML has it: items of lists, [0], stand under keys of their own, "[0]"."""
+    """A key in TOML, with indices of lists as keys: `objects[0].albedo` is `objects."[0]".albedo`."""
     return INDEX.sub(r'."[\1]"', key)
 
 
@@ -76,7 +76,7 @@ def is_file(override: Override) -> bool:
 
 
 def tables(override: Override) -> dict[str, Any]:
-    """The nested tables of an override, its paths absolute. Raises LuxloopError where it is none."""
+    """An override as nested tables with absolute paths. Raises LuxloopError for an invalid override."""
     folder, data = Path.cwd(), override
     if isinstance(data, str):
         folder, data = (Path(data).parent, read_toml(Path(data))) if is_file(data) else (folder, _parse(data))
@@ -99,11 +99,11 @@ def _parse(text: str) -> dict[str, Any]:
 
 
 def _merge(into: dict[str, Any], changes: Mapping[str, Any], within: str = "") -> None:
-    """Lay changes over nested tables; a table that becomes another variant starts anew.
+    """Merge changes into nested tables; a table of another variant replaces the old one.
 
-    An empty table clears a key that is there; elsewhere, as in a table that starts anew, it is one with defaults, as in a file. Changes of
-    list items stand under the keys "[0]", "[1]" and so on; a table one beyond the last is added. within: key of the table, for messages.
-    Raises LuxloopError where there is no such item.
+    An empty table clears an existing key, and adds a table of defaults under a new key. Changes of list items have the keys "[0]", "[1]"
+    and so on; a table under the index after the last is appended. within: key of the table, for messages. Raises LuxloopError where a list
+    has no such item.
     """
     for key, value in changes.items():
         old, whole = into.get(key), within + key if INDEX.fullmatch(key) else f"{within}.{key}".strip(".")
@@ -130,12 +130,12 @@ def _merge(into: dict[str, Any], changes: Mapping[str, Any], within: str = "") -
 
 
 def _same_variant(table: Mapping[str, Any], changes: Mapping[str, Any]) -> bool:
-    tags = [tag for tag in TAGS if isinstance(table.get(tag), str)][:1]  # functions may be named so, too
+    tags = [tag for tag in TAGS if isinstance(table.get(tag), str)][:1]  # a function may be named "kind" or "name"
     return all(tag not in changes or changes[tag] == table[tag] for tag in tags)
 
 
 def resolve_paths(data: dict[str, Any], folder: Path) -> None:
-    """Make paths absolute against the file's folder, those of modules that lie there too; names of what is shipped or known stay names."""
+    """Make paths absolute relative to a file's folder, also those of modules in the folder; names of shipped and registered files stay."""
     for table, key in _places(data, FILES):
         if key == "folder" or any(mark in table[key] for mark in "/\\."):
             table[key] = str((folder / table[key]).resolve())
@@ -144,7 +144,7 @@ def resolve_paths(data: dict[str, Any], folder: Path) -> None:
 
 
 def _places(data: Any, keys: Iterable[str]) -> list[tuple[dict[str, Any], str]]:
-    """Tables with a text under one of the keys, each with the last part of that key."""
+    """Tables that have a text under one of the keys, each with the last part of the key."""
     found = []
     for key in keys:
         *path, last = key.split(".")

@@ -1,4 +1,4 @@
-"""Plants by name, and where the light of modules comes from: the scenario's lamp, or a real one whose beam is digitised live (T 4.3)."""
+"""Plants by name, and sources of modules' light: the scenario's lamp, or a real lamp whose beam is digitised live (T 4.3)."""
 
 from typing import Annotated, Literal
 
@@ -15,14 +15,14 @@ class SimulatedPlantParams(Params):
 
 
 class RecordedPlantParams(Params):
-    """The frames of a recording, which show the light of that run; perception and controller step on them in shadow."""
+    """The frames of a recording, on which perception and controllers run in shadow: their commands are not shown."""
 
     kind: Literal["recording"]
     folder: str = Field(min_length=1, examples=["runs/mine"], description="recording that `luxloop run --frames` wrote")
 
 
 class RemotePlantParams(Params):
-    """Another simulator, which connects to the loop and runs in lockstep with it (docs/programs.md)."""
+    """Another simulator, which connects to the loop and runs in lockstep (docs/programs.md)."""
 
     kind: Literal["remote"]
     address: str = Field(
@@ -43,16 +43,16 @@ class RigPlantParams(Params):
 
 
 class OwnPlantParams(OwnPart):
-    """`Name(scenario, modules, **options)` of a module of the user's own makes the plant."""
+    """A plant of the user's own, made by `Name(scenario, modules, **options)`."""
 
 
 def shadow_of(plant: SimulatedPlantParams | RecordedPlantParams | RemotePlantParams | RigPlantParams | OwnPlantParams) -> str | None:
-    """The recording that is played, None where light is shown."""
+    """Folder of the recording on which the loop runs in shadow; None for a plant that shows light."""
     return plant.folder if isinstance(plant, RecordedPlantParams) else None
 
 
 class ModuleSourceParams(Params):
-    """One module of the lamps, by its name, or its lamp's side where that has a single one."""
+    """Source of a module's light, by the module's name, or by the lamp's side for a lamp with a single module."""
 
     source: Literal["simulated", "digitised"] = Field(
         "simulated", description="simulated, or digitised from a picture of a real lamp's light on a screen; needs `--rig FILE`"
@@ -65,7 +65,7 @@ class ModuleSourceParams(Params):
     )
 
     def late_steps(self, rate_hz: float) -> int:
-        """Control steps, rate_hz of them a second, by which its light is late, and its body as well where that is delayed."""
+        """Delay of the light, and of the body's motion if it is delayed as well, in control steps."""
         return round(self.latency_s * rate_hz)
 
 

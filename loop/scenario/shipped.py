@@ -1,4 +1,4 @@
-"""The scenarios and examples that come with luxloop, by name. Light to import, so that `luxloop list` answers at once."""
+"""Shipped scenarios, examples and their files, by name. Imports nothing heavy, so that `luxloop list` answers at once."""
 
 import json
 import os
@@ -13,22 +13,22 @@ TEMPLATE: Final = Path(str(files("luxloop.scenarios") / "template" / "template.t
 
 
 def scenario_files() -> dict[str, Path]:
-    """Scenario files that come with luxloop, by name."""
+    """Shipped scenario files, by name."""
     return {path.stem: path for path in sorted(Path(str(files("luxloop.scenarios"))).glob("*.toml"))}
 
 
 def examples() -> dict[str, Path]:
-    """Files of campaigns and data sets, a lamp's description and programs that come with luxloop, by the name of the file."""
+    """Shipped files of campaigns and data sets, lamp description and programs, by file name."""
     return {path.name: path for path in sorted(Path(str(files("luxloop.scenarios") / "examples")).glob("*.*"))}
 
 
 def shipped_files(kind: str) -> dict[str, Path]:
-    """What scenarios name that comes with luxloop, "symbols" or "utilisations", by name."""
+    """Shipped files that scenarios name, of a kind, "symbols" or "utilisations", by name."""
     return {path.stem: path for path in sorted(Path(str(files("luxloop.scenarios") / kind)).iterdir())}
 
 
 def find_file(name: str, kind: str) -> Path:
-    """File of a kind given by shipped name or path. Raises LuxloopError with the nearest name."""
+    """A file of a kind (`shipped_files`) by shipped name or path. Raises LuxloopError with the nearest name."""
     known = shipped_files(kind)
     if name in known:
         return known[name]
@@ -48,7 +48,7 @@ def original(like: str) -> Path:
 
 
 def copy_text(source: Path, name: str) -> str:
-    """The text of a shipped file; a scenario, or the template of one, gets another name."""
+    """Text of a shipped file; in scenarios and their template with another name."""
     text = source.read_text("utf-8")
     if source not in (TEMPLATE, scenario_files().get(source.stem)):
         return text
@@ -56,7 +56,7 @@ def copy_text(source: Path, name: str) -> str:
 
 
 def find(name: str) -> Path:
-    """The file of a scenario given by shipped name or by path. Raises LuxloopError with the nearest name."""
+    """The file of a scenario by shipped name or path. Raises LuxloopError with the nearest name."""
     path = Path(name)
     known = scenario_files()
     if name in known:

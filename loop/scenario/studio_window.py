@@ -1,4 +1,4 @@
-"""A scenario shown in the studio beside a notebook or a program: in a process of its own, to which OpenGL belongs."""
+"""The studio beside a notebook or a program, in a process of its own, which owns the OpenGL context."""
 
 import subprocess
 import sys
@@ -13,37 +13,37 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.plugin import own_names
 
 HEIGHT_PX: Final = 720
-PATIENCE_S: Final = 10.0  # with a process that shall end
+PATIENCE_S: Final = 10.0  # for the process to end
 SERVE: Final = """
 import os, signal, sys, threading
 threading.Thread(target=lambda: (sys.stdin.read(), os.kill(os.getpid(), signal.SIGTERM)), daemon=True).start()
 from luxloop.loop.commands.cli import main
 sys.exit(main(sys.argv[1:]))
-"""  # it ends with the program that has started it, whose end of the pipe closes
+"""  # the process ends when its standard input closes, with the program that started it
 
 
 def show(scenario: Scenario | str, /, *overrides: str, device: str = "auto") -> "StudioWindow":
     """Watch and steer a scenario in the page of `luxloop studio`, from step 0 on; a notebook shows the page in a frame.
 
-    scenario: a loaded one, or the name or path of one. overrides: other values of its keys, as KEY=VALUE. device: "auto", "cpu" or "cuda".
-    The studio runs in a process of its own until `close()` or until the program ends. Raises LuxloopError where it cannot begin.
+    scenario: a loaded one, or its name or path. overrides: other values of its keys, as KEY=VALUE. device: "auto", "cpu" or "cuda".
+    The studio runs in a process of its own until `close()` or until the program ends. Raises LuxloopError where the studio cannot start.
     """
     return StudioWindow(with_overrides(load(scenario) if isinstance(scenario, str) else scenario, overrides), device)
 
 
 class StudioWindow:
-    """A studio that `show` has begun; a context manager that ends it.
+    """A running studio, as `show` returns it; a context manager that ends the studio.
 
-    address: of the page, to edit; `luxloop.connect` takes it, too. watch: of the page that changes nothing.
+    address: of the page for editing, which `luxloop.connect` takes as well. watch: of the page for watching only.
     """
 
     def __init__(self, scenario: Scenario, device: str) -> None:
         self._folder = TemporaryDirectory(prefix="luxloop_")
-        file, told = Path(self._folder.name, "shown.toml"), Path(self._folder.name, "told")
+        file, log = Path(self._folder.name, "shown.toml"), Path(self._folder.name, "log")
         file.write_text(scenario_text(scenario), "utf-8")
         command = [sys.executable, "-c", SERVE, "studio", str(file), "--no-open", "--port", "0", "--device", device]
         command += ["--allow-code"] if any(own_names(scenario)) else []
-        with told.open("w") as errors:
+        with log.open("w") as errors:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True, start_new_session=True
             )
@@ -55,7 +55,7 @@ class StudioWindow:
             if "watch" in found:
                 break
         if "watch" not in found:
-            text = told.read_text("utf-8")
+            text = log.read_text("utf-8")
             self.close()
             raise LuxloopError(f"show: the studio did not begin ({' '.join(text.split())[-300:]})")
         self.address, self.watch = found["edit"], found["watch"]

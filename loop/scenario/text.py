@@ -1,4 +1,4 @@
-"""Scenarios as the text of files: a given one, and a night drawn from a seed for `luxloop new`."""
+"""Texts of scenario files: of a scenario, and of a night drawn from a seed for `luxloop new`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,12 +14,11 @@ HEAD: Final = """\
 # A night on the road, drawn from a seed. Check it with `luxloop check FILE`, run it with `luxloop run FILE`.
 # Another traffic.seed: others elsewhere. Add your own objects as [[objects]].
 
-schema_version = 1
-"""
+schema_version = 1"""
 
 
 def scenario_text(scenario: Scenario) -> str:
-    """The text of a file that `load` reads as this scenario; defaults are left out."""
+    """Text of a file that `load` reads as the scenario; defaults are left out."""
     values, lines, tables = _plain(scenario), list[str](), list[str]()
     for key, value in values.items():
         if key in ("functions", "checks") and isinstance(value, dict):
@@ -38,10 +37,10 @@ def _table(head: str, values: Mapping[str, Any]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Plain data without defaults and what is left out; tags of variants stay."""
+    """Plain data without defaults and None; tags of variants stay."""
     if isinstance(value, BaseModel):
-        told = {key: (getattr(value, key), field) for key, field in type(value).model_fields.items()}
-        return {key: _plain(each) for key, (each, field) in told.items() if key in TAGS or each != field.get_default()}
+        fields = {key: (getattr(value, key), field.get_default()) for key, field in type(value).model_fields.items()}
+        return {key: _plain(each) for key, (each, default) in fields.items() if key in TAGS or each != default}
     if isinstance(value, Mapping):
         return {str(key): _plain(each) for key, each in value.items() if each is not None}
     if isinstance(value, list | tuple):
@@ -50,7 +49,7 @@ def _plain(value: Any) -> Any:
 
 
 def night(name: str, seed: int) -> str:
-    """The text of a scenario of lighting functions with traffic, road and light drawn from a seed."""
+    """Text of a scenario of lighting functions with traffic, road and light drawn from a seed."""
     from luxloop.world.traffic.generator import random_tables
 
     world = random_tables(seed)
@@ -62,7 +61,5 @@ def night(name: str, seed: int) -> str:
         "lighting": {"base": {"beam": "low"}},
         "functions.guard_traffic": {"kind": "glare_free"},
     }
-    lines = [f"name = {toml(name)}", "steps = 40", "rate_hz = 20"]
-    for key, table in tables.items():
-        lines += ["", f"[{key}]", *(f"{inner} = {toml(value)}" for inner, value in table.items())]
-    return HEAD + "\n".join(lines) + "\n"
+    head = _table(HEAD, {"name": name, "steps": 40, "rate_hz": 20})
+    return "\n\n".join([head, *(_table(f"[{key}]", table) for key, table in tables.items())]) + "\n"

@@ -35,4 +35,4 @@ def test_the_version_follows_a_file_that_is_added_or_changed(
 
 
 def test_the_folders_that_only_show_are_there() -> None:
-    assert all((Path(__file__).parents[3] / each).exists() for each in sources.SHOWING)
+    assert all((Path(__file__).parents[3] / each).exists() for each in sources.WITHOUT_EFFECT)
