@@ -229,7 +229,7 @@ SEEN: Final = (0.9, 0.5)  # visible shares from which on an object counts as ful
 def kitti_calibration(view: View) -> str:
     """Text of a camera's calibration file. view: from the vehicle's body, which stands for the frame of KITTI's laser scanner."""
     P = [view.fx, 0.0, view.cx, 0.0, 0.0, view.fy, view.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
-    rows = {
+    rows: dict[str, Iterable[float]] = {
         **{f"P{k}": P for k in range(4)},
         "R0_rect": np.eye(3).ravel(),
         "Tr_velo_to_cam": numbers(inverse(view.T_world_view)[:3]),
