@@ -1,9 +1,8 @@
-"""What luxloop needs, looked at on this machine: what was found, and the command that mends what is missing.
+"""Checks of this machine for the needs of luxloop: findings, and the commands that mend what is missing.
 
 Nothing here imports a third-party package before the check that reports on it, so that a broken installation can be described.
 """
 
-import functools
 import os
 import platform
 import re
@@ -24,7 +23,7 @@ OPENGL_LIBRARIES = "sudo apt-get install -y libegl1 libgl1 libgl1-mesa-dri"
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was looked at; `remedy` is a command, empty where all is well."""
+    """Result of a check; `remedy` is a command, empty if all is well."""
 
     name: str
     status: Literal["ok", "warn", "fail"]
@@ -33,7 +32,7 @@ class Check:
 
 
 def checks() -> list[Check]:
-    """Look at everything that a run may need (a few seconds)."""
+    """Check everything that a run may need (a few seconds)."""
     return [
         python_check(),
         *package_checks(),
@@ -47,15 +46,14 @@ def checks() -> list[Check]:
 
 
 def all_good(results: Iterable[Check]) -> bool:
-    """True where nothing failed; a warning does not keep luxloop from running."""
+    """Whether no check failed; with warnings luxloop still runs."""
     return all(check.status != "fail" for check in results)
 
 
 def _failing_with(name: str, remedy: str) -> Callable[[Callable[..., Check]], Callable[..., Check]]:
-    """Make anything that a check raises its finding."""
+    """Decorator of a check: an exception becomes a failed check with a remedy."""
 
     def decorate(look: Callable[..., Check]) -> Callable[..., Check]:
-        @functools.wraps(look)
         def check(*args: object) -> Check:
             try:
                 return look(*args)
@@ -88,7 +86,7 @@ def package_checks() -> list[Check]:
 
 
 def package_check(requirement: str) -> Check:
-    """Is a requirement such as `numpy>=2` installed, and in a version that will do?"""
+    """Whether a requirement such as `numpy>=2` is installed in a suitable version."""
     name = re.split(r"[^\w.-]", requirement, maxsplit=1)[0]
     remedy = f'{PIP} "{requirement}"'
     try:
@@ -103,7 +101,7 @@ def package_check(requirement: str) -> Check:
 
 
 def opengl_check(environment: Mapping[str, str]) -> Check:
-    """Start the rasteriser in another process, which has the given environment variables and may crash, and report what renders."""
+    """Start the rasteriser in another process, which may crash, and name the renderer. environment: variables of that process."""
     remedy = OPENGL_LIBRARIES if environment.get("PYOPENGL_PLATFORM", "egl") == "egl" else "unset PYOPENGL_PLATFORM"
     command = [sys.executable, "-c", "from luxloop.world.rendering.rasterise import Rasteriser; print(Rasteriser().name)"]
     packages = Path(__file__).parents[3]
@@ -155,7 +153,7 @@ def video_check() -> Check:
 
 @_failing_with("data", "unset LUXLOOP_DATA")
 def data_check() -> Check:
-    """Road scans and photometric files of the registry, in the folder that `LUXLOOP_DATA` names or among what was fetched."""
+    """Which registered road scans and photometric files are in the folder `LUXLOOP_DATA` or among fetched files."""
     from luxloop.loop.scenario import data
 
     names, own = data.registry(), os.environ.get(data.FOLDER_VARIABLE)
@@ -167,6 +165,6 @@ def data_check() -> Check:
 
 @_failing_with("working folder", "cd ~  # or give luxloop run --out a folder that you may write to")
 def folder_check(folder: Path) -> Check:
-    """May recordings be written to the folder?"""
+    """Whether recordings can be written to a folder."""
     with tempfile.TemporaryFile(dir=folder):
         return Check("working folder", "ok", f"{folder} can be written to")

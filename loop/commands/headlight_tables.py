@@ -163,10 +163,10 @@ def _mount(T: torch.Tensor) -> str:
 def check(
     lamp: Lamp, beam: str | None = None, rule: str | None = None, aimed: bool = False, traffic: Traffic = "right"
 ) -> tuple[str, tuple[Result, ...]]:
-    """Title and results of a check of a beam against a rule. aimed: first aim the lamp by its cut-off or maximum, as the regulation does.
+    """Title and results of a check of a beam against a rule. aimed: whether the lamp is aimed first, as the regulation requires.
 
-    beam: by default that which the rule is for, low or high, or full where the lamp has none; without a rule its default beam. Raises
-    LuxloopError for an unknown beam or rule, and where no rule is given for a beam that RULE_OF_BEAM does not list.
+    beam: by default the rule's kind of beam, low or high, or full for a lamp without it; without a rule the lamp's default beam. rule: by
+    default the beam's in RULE_OF_BEAM. Raises LuxloopError for an unknown beam or rule, and for a beam without a rule.
     """
     rules = None if rule is None else rule_set(rule)
     if rules is None and (beam or lamp.default_beam) not in RULE_OF_BEAM:
@@ -185,7 +185,7 @@ def check(
 
 
 def compliance(lamp: Lamp) -> list[str]:
-    """One line for each of the lamp's beams in RULE_OF_BEAM: how many requirements of its rule the beam meets."""
+    """A line for each of the lamp's beams in RULE_OF_BEAM on the number of requirements that the beam meets."""
     lines = []
     for beam in lamp.beams:
         if beam in RULE_OF_BEAM:

@@ -1,4 +1,4 @@
-"""The commands that list what luxloop offers and what this machine has: list, schema, doctor, data."""
+"""The commands list, schema, doctor and data: shipped parts, and the state of this machine."""
 
 from dataclasses import asdict
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What several commands share: exit codes, options, and the scenario that a command line names."""
+"""Exit codes, options and scenarios of several commands."""
 
 import math
 from collections.abc import Sequence
@@ -33,10 +33,10 @@ Device = Literal["auto", "cpu", "cuda"]
 
 
 def scenario_of(name: str, set: Sequence[str] | None, controller: str | None = None, **given: Any) -> "Scenario":
-    """Read a scenario by shipped name or path. set: overrides of its keys. controller: name of another controller, with its defaults.
-    given: as for `load`.
+    """Read a scenario by shipped name or path. set: overrides of keys. controller: name of another controller, with its defaults. given:
+    other arguments of `load`.
 
-    Raises LuxloopError, for an unknown name at once: the import of the model, which takes seconds, comes after.
+    Raises LuxloopError; for an unknown name before the import of the model, which takes seconds.
     """
     find(name)
     from luxloop.loop.scenario.model import load
@@ -49,9 +49,9 @@ def scenario_of(name: str, set: Sequence[str] | None, controller: str | None = N
 def recorded_scenario_of(
     folder: str, set: Sequence[str] | None, controller: str | None = None, *, allow_code: bool = False, **given: Any
 ) -> "Scenario":
-    """The scenario of a recording, as it was at the beginning of the run. set, controller, given: as of `scenario_of`.
+    """The scenario at the beginning of a recorded run. set, controller, given: as of `scenario_of`.
 
-    Raises LuxloopError where it is no recording, and as `load`.
+    Raises LuxloopError as `load`, and where the folder is no recording.
     """
     from luxloop.loop.recording.manifest import Manifest
     from luxloop.loop.scenario.model import load_data

@@ -1,8 +1,9 @@
 """The commands `luxloop rig board|calibrate|digitise|fit`: calibrate a rig's camera and geometry, digitise its lamp, fit a scenario."""
 
 import math
+import re
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -134,10 +135,10 @@ def calibrate(
         scale = steps.lux_scale(shots, [each.headlight.n_pixels for each in modules], readings, darkening) if readings else None
     steps.save(out, replace(found, lux=scale))
     camera = found.camera
-    values = dict(zip(("fx", "fy", "cx", "cy", *DISTORTION), camera.values, strict=True))
-    std = [""] * 9 if camera.covariance is None else [f" ± {by:.2g}" for by in np.sqrt(np.diag(camera.covariance))]
+    stds = [""] * 9 if camera.covariance is None else [f" ± {by:.2g}" for by in np.sqrt(np.diag(camera.covariance))]
+    values = zip(("fx", "fy", "cx", "cy", *DISTORTION), camera.values, stds, strict=True)
     rows_shown = {
-        "lens": ", ".join(f"{what} {value:.5g}{by}" for (what, value), by in zip(values.items(), std, strict=True))
+        "lens": ", ".join(f"{what} {value:.5g}{std}" for what, value, std in values)
         + ("; assumed, not measured" if camera.covariance is None else ""),
         "scale": "not measured" if scale is None else f"{scale:.4g} lx on the screen saturate the camera",
         "vignetting": "not measured" if flats is None else f"{100 * darkening.sum():.1f} % in the corners, {100 * left:.2g} % rms left",
@@ -317,7 +318,6 @@ def fit(
 @contextmanager
 def _setup(scenario: "Scenario", rig: Path | None, allow_code: bool) -> Iterator[tuple["Setup", tuple["LampModule", ...]]]:
     """The lit rig, or without a rig file the scenario's simulated world, and the modules that shine."""
-
     from luxloop.loop.rig.calibration.setups import simulated_setup
     from luxloop.loop.simulation.build_lamps import mount
     from luxloop.loop.simulation.lamps import lamp_modules
@@ -358,7 +358,7 @@ def _board(columns: int, rows: int, square_mm: float) -> Any:
 
 
 def _pictures(path: Path) -> dict[Path, Any]:
-    """Grey pictures `[height, width]` of a folder or a file. Raises LuxloopError where there are none, or they differ in size."""
+    """Grey pictures `[height, width]` of a folder or a file. Raises LuxloopError without a picture, and for pictures of different sizes."""
     import cv2
 
     from luxloop.world.files import content, files_at, reading
@@ -380,7 +380,9 @@ def _pictures(path: Path) -> dict[Path, Any]:
 
 
 def _views(path: Path, printed: Any) -> tuple[list["Corners"], tuple[int, int]]:
-    """Corners of the boards in pictures, and their width and height; says which are left out. Raises LuxloopError where all are."""
+    """Corners of the board in each picture, and the pictures' width and height; prints which pictures show no board. Raises LuxloopError if
+    none does.
+    """
     from luxloop.loop.rig.calibration.intrinsics import Corners, corners
 
     pictures = _pictures(path)
@@ -426,8 +428,8 @@ def _factor(reflectance: float, by_angle: Path | None) -> Any:
     if by_angle is None:
         return lambda cos: np.full_like(cos, reflectance)
     with reading(by_angle, "no table of angle and luminance factor", "write a line `angle_deg,factor` for each angle, ascending from 0"):
-        lines: Sequence[str] = content(by_angle).decode("utf-8").splitlines()
-        table = np.array([[float(each) for each in line.split(",")] for line in lines if line.strip()[:1] in tuple("0123456789.")])
+        lines = content(by_angle).decode("utf-8").splitlines()
+        table = np.array([line.split(",") for line in lines if re.match(r"\s*[\d.]", line)], float)
         if table.shape[1] != 2 or not (np.diff(table[:, 0]) > 0).all() or not (table[:, 1] > 0).all():
             raise ValueError("angles ascend, factors are above 0")
     return lambda cos: np.interp(np.degrees(np.arccos(cos.clip(0, 1))), table[:, 0], table[:, 1])

@@ -21,15 +21,16 @@ from luxloop.world.arrays import read_parquet
 
 
 def _one_thread() -> None:
-    """A step's operations are too small for two threads: on a busy machine a second one turns 20 ms into 400. OMP_NUM_THREADS overrides."""
+    """Use one thread unless OMP_NUM_THREADS is set: a step's operations are small, and on a busy machine a second thread turns 20 ms into
+    400.
+    """
     if "OMP_NUM_THREADS" not in os.environ:
         torch.set_num_threads(1)
 
 
 def run_scenario(scenario: Scenario, out: Path, device: str, checks: bool, kept: Mapping[str, Any]) -> bool:
-    """Run a scenario, print its summary and where its files are; returns whether all evaluated checks passed. kept: as of `run`.
-
-    Raises KeyboardInterrupt with a message that says what was kept.
+    """Run a scenario and print summary and folder; returns whether all evaluated checks passed. kept: files to write, keyword arguments of
+    `luxloop.loop.run.run`. Raises KeyboardInterrupt that says how many steps are kept.
     """
     _one_thread()
     done = 0
@@ -59,7 +60,7 @@ def run_scenario(scenario: Scenario, out: Path, device: str, checks: bool, kept:
 
 
 def compare_recording(directory: Path, allow_code: bool) -> bool:
-    """Run a recording again and show the differences; returns whether the two agree."""
+    """Run a recording again and print the differences; returns whether the replay agrees."""
     manifest = Manifest.read(directory)
     _one_thread()
     with tables.progress(str(manifest.scenario.get("name")), read_parquet(directory / TRAJECTORY).num_rows) as advance:

@@ -85,9 +85,9 @@ def studio(
 
 @contextmanager
 def in_browser(address: str) -> Iterator[None]:
-    """Open an address by way of a private file, which is there for the block: all users of the machine see the arguments of a browser.
+    """Open an address in the browser through a private file that exists during the block, since all users see a browser's arguments.
 
-    It lies in the home folder, where browsers in a sandbox can read it. Nothing waits for a browser that runs in the terminal.
+    The file is in the home folder, where browsers in a sandbox can read it. The block does not wait for a browser in the terminal.
     """
     home = os.path.expanduser("~")
     with tempfile.TemporaryDirectory(prefix="luxloop-studio-", dir=home if os.access(home, os.W_OK) else None) as folder:

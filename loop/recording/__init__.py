@@ -1,1 +1,1 @@
-"""What a run leaves: manifest, recording, summary, video."""
+"""Files of a run: manifest, trajectory, summary, frames, labels and video; and their replay."""

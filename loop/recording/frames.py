@@ -2,6 +2,8 @@
 
 import math
 from collections import defaultdict
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +31,7 @@ from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame
 from luxloop.loop.simulation.recorded import inside
 from luxloop.loop.simulation.remote_messages import object_values
 from luxloop.loop.simulation.result import Lights, Reception
+from luxloop.perception.camera import CameraParams
 from luxloop.world.arrays import Arrays
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import whole
@@ -104,23 +107,22 @@ def elsewhere(own: Lights, shown: Lights) -> float:
     return sum(float((a.u - b.u).abs().sum()) for a, b in pairs) / both if both else 0.0
 
 
-class KeptFrames:
-    """Recorded frames of a folder, which may have none, by step."""
+def frame_numbers(folder: Path, scenario: Scenario) -> Mapping[int, Mapping[str, int]]:
+    """Numbers of the newest frames `on` and `off` that arrived in a step, by step; empty for a recording without frames.
 
-    def __init__(self, folder: Path, scenario: Scenario) -> None:
-        """scenario: of the recording. Raises LuxloopError where the table of frames is damaged."""
-        self._folder, self._camera, per_step = folder, scenario.camera, len(scenario.shares)
-        self._numbers = defaultdict[int, dict[str, int]](dict)
-        for each in read_exposures(inside(folder / TABLE, folder)) if (folder / TABLE).is_file() else ():
-            if each["came_with"] is not None and not each["lost"]:
-                self._numbers[each["came_with"] // per_step]["off" if each["number"] % per_step else "on"] = each["number"]
+    scenario: of the recording. Raises LuxloopError where the table of frames is damaged.
+    """
+    per_step, found = len(scenario.shares), defaultdict[int, dict[str, int]](dict)
+    for each in read_exposures(inside(folder / TABLE, folder)) if (folder / TABLE).is_file() else ():
+        if each["came_with"] is not None and not each["lost"]:
+            found[each["came_with"] // per_step]["off" if each["number"] % per_step else "on"] = each["number"]
+    return found
 
-    def at(self, step: int) -> dict[str, Tensor]:
-        """Digital numbers `[height, width]` of the newest frames `on` and `off` that arrived in a step; damaged frames are left out."""
-        found = {}
-        for name, number in self._numbers.get(step, {}).items():
-            try:
-                found[name] = read_image(inside(image_file(self._folder, number), self._folder), self._camera, torch.empty(0))
-            except LuxloopError:
-                continue
-        return found
+
+def read_frames(folder: Path, camera: CameraParams, numbers: Mapping[str, int]) -> dict[str, Tensor]:
+    """Digital numbers `[height, width]` of frames by name; damaged frames are left out. numbers: of the exposures."""
+    found = {}
+    for name, number in numbers.items():
+        with suppress(LuxloopError):
+            found[name] = read_image(inside(image_file(folder, number), folder), camera, torch.empty(0))
+    return found

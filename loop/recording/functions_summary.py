@@ -104,8 +104,7 @@ def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[n
     times_s, ms = column(table, "time_s"), np.median(column(table, "processing_ms")) if table.num_rows else math.nan
     found["processing_ms_median"] = ms
     found["times_real_time"] = None if table.num_rows < 2 else ms / 1e3 * (table.num_rows - 1) / (times_s[-1] - times_s[0])
-    finished: Summary = finite(found)
-    return finished
+    return finite(found)
 
 
 def of_modules(table: pa.Table, modules: Sequence[Movable]) -> dict[str, dict[str, Summary]]:
@@ -231,7 +230,7 @@ LOW, STANDBY = "low", "standby"
 
 
 def reference_power(simulation: Simulation, table: pa.Table) -> Mapping[str, NDArray[np.floating]]:
-    """Power `[steps]` in W of all lamps by reference beam: "standby", "low beam" if the lamps have one, the base beam if it is another."""
+    """Power `[steps]` in W of all lamps by reference beam: "standby", "low beam" if the lamps have one, and any other base beam."""
     modules, beams = simulation.modules, table["beam"].to_pylist()
     steps = np.ones(table.num_rows)
     found = {STANDBY: steps * _watts(simulation, [module.flux * 0 for module in modules])}

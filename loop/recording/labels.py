@@ -1,4 +1,4 @@
-"""Labels of a recording's frames, which say what is true: objects, masks, depth and illuminance at pixels, poses of camera and vehicle."""
+"""Ground truth of a recording's frames as labels: objects, masks, depth and illuminance at pixels, poses of camera and vehicle."""
 
 import json
 import math
@@ -56,8 +56,7 @@ def part_names(world: World) -> tuple[str, ...]:
 
 
 def _array(values: Tensor, dtype: Any) -> np.ndarray:
-    array: np.ndarray = np.ascontiguousarray(values.detach().cpu().numpy(), dtype)
-    return array
+    return np.ascontiguousarray(values.detach().cpu().numpy(), dtype)
 
 
 FOLDER: Final = "labels"
@@ -218,8 +217,7 @@ def corner_and_size(box: Box) -> list[float]:
 
 def numbers(T: Tensor) -> list[float]:
     """A pose as 16 numbers, row by row."""
-    found: list[float] = T.flatten().tolist()
-    return found
+    return T.flatten().tolist()
 
 
 KITTI: Final = ("car", "truck", "pedestrian", "cyclist")  # classes that KITTI has as well; all others are Misc

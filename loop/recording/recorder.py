@@ -107,8 +107,7 @@ class Tally:
             known = sum(number in self._exposures for number in self._images)
             summary["frames"] = {"asked": len(self._exposures), "came": known, "unknown": len(self._images) - known}
         summary |= {"idle_functions": idle, "checks": {} if checked is None else checked(self.table())}
-        finished: dict[str, Any] = finite(summary)
-        return finished
+        return finite(summary)
 
 
 class Recorder:

@@ -16,7 +16,7 @@ BORDERS = {  # of the field: name and remedy
 
 
 def of_frames(frames: dict[str, int]) -> list[str]:
-    """What is wrong with the frames of a run, by their part of the summary; empty if nothing is."""
+    """Faults of the frames of a run and their remedies, by the summary's `frames`; empty without a fault."""
     numbers = "give each frame the number of its exposure, exposure.number, and test the plant with luxloop.check_plant"
     late = "raise steps if frames are late, lower camera.drop_probability, or test your own plant with luxloop.check_plant"
     if frames["unknown"]:

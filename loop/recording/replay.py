@@ -129,7 +129,7 @@ def _edits(file: Path) -> tuple[Edit, ...]:
 
 
 def refuse_foreign(directory: Path, scenario: Scenario, edits: Iterable[Edit]) -> None:
-    """Raises LuxloopError where the scenario of a recording, or one of its edits, names a Python module."""
+    """Raises LuxloopError where a recording's scenario or one of the edits names a Python module."""
     refuse_code(scenario, str(directory / MANIFEST))
     for edit in edits:
         scenario = repeat(scenario, edit)

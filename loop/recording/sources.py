@@ -32,7 +32,7 @@ def sources_of(module: str, folder: Path | None = None) -> dict[str, Path]:
     if folder in (None, PYTHONS_OWN) or top == OURS:
         return {}
     only_its_own = folder in INSTALLED
-    found: dict[str, Path] = {}
+    found = {}
     waiting = [module]
     while waiting:
         name = waiting.pop()

@@ -78,8 +78,7 @@ def summarise(
         "ssim_final": last(evaluated, "ssim"),
         **asdict(run),
     }
-    finished: Summary = finite(found)
-    return finished
+    return finite(found)
 
 
 def steps_with_metrics(table: pa.Table) -> pa.Table:

@@ -1,1 +1,1 @@
-"""Pages and pictures of runs: `page` puts together what there is to show."""
+"""Reports of runs, pictures of lamps, tables and exports."""

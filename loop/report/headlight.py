@@ -135,6 +135,7 @@ def _pattern(side: str, lamp: Lamp, utilisations: Sequence[Tensor]) -> tuple[Ten
 
 
 def _draw(car: LitCar, beam: str, view: str, style: str, road: Road, visibility_m: float) -> Figure:
+    eye = 11.0, 5.85 if style == "falsecolour" else 6.5  # inches of a page with a picture of 16 : 9, and with a scale
     match view:
         case "overview":
             figure = _page(car, beam, "", (14.0, 8.1))
@@ -146,14 +147,14 @@ def _draw(car: LitCar, beam: str, view: str, style: str, road: Road, visibility_
             figure = _page(car, beam, ROAD[style], (11.5, 5.0))
             draw_birdseye(figure.subplots(), road.look(car, birdseye()), style, road.lane_width_m)
         case "driver":
-            figure = _page(car, beam, DRIVER[style], _eye_inches(style))
+            figure = _page(car, beam, DRIVER[style], eye)
             seen = road.look(car, driver())
             axes = figure.subplots()
             draw_eye(axes, seen, style)
             if style != "isolux":
                 distance_marks(axes, seen, road.lane_width_m)
         case "volume":
-            figure = _page(car, beam, f"in fog, visibility {visibility_m:g} m", _eye_inches(style))
+            figure = _page(car, beam, f"in fog, visibility {visibility_m:g} m", eye)
             seen = road.look(car, beside(), Medium.fog(visibility_m))
             axes = figure.subplots()
             draw_eye(axes, seen, style)
@@ -187,11 +188,6 @@ def _modules(car: LitCar, beam: str, view: str) -> Figure:
                 brightest = max(float(each[row].max()) for each in textures.values() if row < len(each))
                 draw_texture(axes, light, textures[side][row], brightest)
     return figure
-
-
-def _eye_inches(style: str) -> tuple[float, float]:
-    """Size of a page with a picture of 16 : 9, and with the scale of false colours."""
-    return (11.0, 5.85) if style == "falsecolour" else (11.0, 6.5)
 
 
 def _page(car: LitCar, beam: str, what: str, inches: tuple[float, float]) -> Figure:

@@ -1,4 +1,4 @@
-"""A step as a picture: what the camera sees, boxes and other marks over it, and the beam on a wall."""
+"""A step as a picture: the camera's image with boxes and other marks, and the beam on a wall."""
 
 import math
 from collections.abc import Iterable, Sequence

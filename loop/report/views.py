@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -72,9 +71,8 @@ class LitCar:
     def intensity(self, h_deg: Tensor, v_deg: Tensor) -> Tensor:
         """Luminous intensity in cd of all lamps together in the far field, in the shape of the angles."""
         ray = direction(h_deg, v_deg).flatten(1)
-        found = sum(lamp.intensity(self.patterns[side], ray) for side, lamp in self.lamps.items())
-        assert isinstance(found, Tensor)
-        return found.view(h_deg.shape)
+        lamps = [lamp.intensity(self.patterns[side], ray) for side, lamp in self.lamps.items()]
+        return torch.stack(lamps).sum(0).view(h_deg.shape)
 
 
 @dataclass(frozen=True)
@@ -104,7 +102,6 @@ class Road:
         """scenario: by default flat asphalt with a lane's markings."""
         plain = {"name": "flat road", "surface": {"markings": True}, "light": {"ambient_lx": NIGHT_LX}}
         self.scenario, self.time_s = scenario or validate(plain, "flat road"), time_s
-        self._shadows: WeakKeyDictionary[Source, ShadowMap] = WeakKeyDictionary()
 
     @property
     def lane_width_m(self) -> float:
@@ -133,7 +130,7 @@ class Road:
         others = self._scene.spotlights_at(self.time_s)
         luminance = luminance + ambient_luminance(surfaces, self._scene.ambient_lx, self._scene.street_lamps, others)
         if air:
-            shadows = None if self._shades is None else [self._shadow(source) for source in car.sources]
+            shadows = [None if self._shades is None else self._shadow(source) for source in car.sources]
             luminance = _through_air(luminance, surfaces, view, car.sources, air, shadows, self._scene.ambient_lx)
         total = np.where(surfaces.object_id.numpy() < 0, np.nan, grey(picture(illuminance)))
         return RoadView(view, surfaces, total, picture(luminance))
@@ -144,12 +141,10 @@ class Road:
         return None if self.scenario.road.kind == "flat" and not self.scenario.all_objects else self._triangles
 
     def _shadow(self, source: Source) -> ShadowMap:
-        if source not in self._shadows:
-            light = source.headlight
-            height = math.ceil(SHADOW_PX * (light.top - light.bottom) / (light.left - light.right))
-            view = light.view(source.T_world_source, SHADOW_PX, min(max(height, 64), SHADOW_PX))
-            self._shadows[source] = shadow_map(self._triangles, view, self._face_source)
-        return self._shadows[source]
+        light = source.headlight
+        height = math.ceil(SHADOW_PX * (light.top - light.bottom) / (light.left - light.right))
+        view = light.view(source.T_world_source, SHADOW_PX, min(max(height, 64), SHADOW_PX))
+        return shadow_map(self._triangles, view, self._face_source)
 
 
 def picture(light: Tensor) -> Image:
@@ -168,7 +163,7 @@ def _through_air(
     view: View,
     lit: Sequence[Source],
     air: Medium,
-    shadows: Sequence[ShadowMap] | None,
+    shadows: Sequence[ShadowMap | None],
     ambient_lx: float,
 ) -> Tensor:
     """A luminance attenuated by the air, plus the light that the air scatters towards the eye, of the lamps and of an even sky."""
@@ -180,19 +175,19 @@ def _through_air(
     # Near the horizontal, half of the light scattered into a ray comes from above, whatever the asymmetry: from a sky of luminance E / pi.
     sky = air.scattering_per_m / air.extinction_per_m * ambient_lx / (2 * math.pi)
     veiled = luminance.flatten(-2) * through + sky * (1 - through)
-    for i, source in enumerate(lit):
-        veiled = veiled + airlight(source, view.origin, directions, distance, air, shadow=shadows[i] if shadows else None)
+    for source, shadow in zip(lit, shadows, strict=True):
+        veiled = veiled + airlight(source, view.origin, directions, distance, air, shadow=shadow)
     return veiled.view(luminance.shape)
 
 
 def driver(width_px: int = 1280) -> View:
     """The view of a driver who sits on the left: 40 deg wide, 16 : 9, the horizon above the middle."""
-    return _pinhole((-1.5, 0.36, 1.2), 4.0, 0.0, 40.0, width_px, round(width_px * 9 / 16))
+    return _pinhole((-1.5, 0.36, 1.2), 4.0, 0.0, 40.0, width_px)
 
 
 def beside(width_px: int = 960) -> View:
     """The view from behind, above and to the left of the car, for beams in fog: 56 deg wide, 16 : 9."""
-    return _pinhole((-10.5, 6.5, 3.4), 8.0, -27.0, 56.0, width_px, round(width_px * 9 / 16))
+    return _pinhole((-10.5, 6.5, 3.4), 8.0, -27.0, 56.0, width_px)
 
 
 def birdseye(cell_m: float = BIRDSEYE_CELL_M, x_m: tuple[float, float] = BIRDSEYE_X_M) -> View:
@@ -205,7 +200,8 @@ def birdseye(cell_m: float = BIRDSEYE_CELL_M, x_m: tuple[float, float] = BIRDSEY
     return View(width, height, focal, focal, width / 2, height / 2, pose(eye, down))
 
 
-def _pinhole(position_m: tuple[float, float, float], pitch_deg: float, yaw_deg: float, hfov_deg: float, width: int, height: int) -> View:
+def _pinhole(position_m: tuple[float, float, float], pitch_deg: float, yaw_deg: float, hfov_deg: float, width: int) -> View:
+    height = round(width * 9 / 16)
     focal = width / 2 / math.tan(math.radians(hfov_deg) / 2)
     T = pose_from_degrees(position_m, pitch_deg=pitch_deg, yaw_deg=yaw_deg) @ pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
     return View(width, height, focal, focal, width / 2, height / 2, T)

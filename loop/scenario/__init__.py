@@ -1,1 +1,1 @@
-"""Scenario files: their model, overrides, templates, and data that they need."""
+"""Scenario files: model, overrides, templates, and third-party data."""

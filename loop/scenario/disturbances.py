@@ -76,7 +76,7 @@ class PoseErrorParams(Params):
 
 
 class CalibrationParams(PoseErrorParams):
-    """Errors of the camera's calibration, that is of [camera], which the controller believes."""
+    """Errors of the camera's calibration: differences of the true camera from [camera], which the controller believes."""
 
     focal_percent: float = Field(0.0, gt=-50, le=50, description="longer focal length")
 

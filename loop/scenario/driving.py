@@ -43,7 +43,7 @@ def end_drive(scenario: Scenario, step: int, steps: int) -> tuple[Scenario, tupl
 
 
 def with_drive(scenario: Scenario, now: Scenario) -> Scenario:
-    """A scenario with the driven course of another one; unchanged if that was not driven."""
+    """A scenario with the driven course of another scenario; unchanged without a driven course."""
     if now.vehicle is None or scenario.vehicle is None or not now.vehicle.roams:
         return scenario
     vehicle, traffic = scenario.vehicle.model_copy(update={"course": now.vehicle.course, "roams": True}), scenario.traffic

@@ -40,7 +40,7 @@ def add(edits: list[Edit], edit: Edit) -> None:
 
 
 def replaces(edit: Edit, last: Edit) -> bool:
-    """Whether an edit overrides all of the last one; tables are merged instead."""
+    """Whether an edit replaces the last one: same step, same keys, and no tables, which are merged."""
     keys, before = ([each.partition("=")[0].strip() for each in one.overrides] for one in (edit, last))
     table = any(each.partition("=")[2].lstrip().startswith("{") for each in edit.overrides)
     return (edit.step, edit.driven, keys) == (last.step, last.driven, before) and not table

@@ -37,8 +37,7 @@ def overridden(data: Mapping[str, Any], overrides: Sequence[Override]) -> dict[s
     changed = copy.deepcopy(dict(data))
     for changes in (*map(_variants, nested), *nested):
         _merge(changed, changes)
-    left: dict[str, Any] = _clear(changed)
-    return left
+    return _clear(changed)
 
 
 def _clear(data: Any) -> Any:

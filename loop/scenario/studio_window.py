@@ -47,7 +47,7 @@ class StudioWindow:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True, start_new_session=True
             )
-        found = dict[str, str]()
+        found = {}
         assert self._process.stdout is not None
         for line in self._process.stdout:
             if line.startswith("To "):

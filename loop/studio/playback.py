@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from luxloop.loop.recording.frames import KeptFrames
+from luxloop.loop.recording.frames import frame_numbers, read_frames
 from luxloop.loop.recording.replay import Recording
 from luxloop.loop.scenario.edits import Edit
 from luxloop.loop.studio.snapshot import Pictures, Snapshot, coded_frame, plain
@@ -24,8 +24,8 @@ class Playback:
     def __init__(self, folder: Path, recording: Recording) -> None:
         """Raises LuxloopError if the table of frames is damaged."""
         self.edits = deque(recording.edits)
-        self._table, self._scenario = recording.table, recording.scenario
-        self._frames, self._seen = KeptFrames(folder, recording.scenario), dict[int, Snapshot]()
+        self._folder, self._table, self._scenario = folder, recording.table, recording.scenario
+        self._numbers, self._seen = frame_numbers(folder, recording.scenario), dict[int, Snapshot]()
 
     def columns(self, known: Sequence[pa.Field]) -> list[pa.Field]:
         """Columns of numbers: those of the simulation, and those added by edits."""
@@ -43,8 +43,9 @@ class Playback:
 
     def pictures(self, step: int) -> Pictures:
         """Stored frames of a step."""
-        most = 2**self._scenario.camera.bits - 1
-        return {f"camera.{name}": coded_frame(frame, most) for name, frame in self._frames.at(step).items()}
+        camera = self._scenario.camera
+        frames = read_frames(self._folder, camera, self._numbers.get(step, {}))
+        return {f"camera.{name}": coded_frame(frame, 2**camera.bits - 1) for name, frame in frames.items()}
 
     def snapshot(self, step: int, last: Snapshot) -> Snapshot:
         """Snapshot of a recorded step. last: snapshot of the last repeated step, for its poses."""
