@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 
 import torch
 from rich.markup import escape
@@ -25,9 +24,11 @@ KINDS = {
     "C": "C (luminaires: v from nadir)",
 }
 
-RULE_OF_BEAM: Mapping[str, str] = MappingProxyType(
-    {"low": "r149-passing-c", "adverse": "r149-passing-c", "motorway": "r149-passing-c", "town": "r149-passing-v", "high": "r149-driving-b"}
-)
+RULE_OF_BEAM: Mapping[str, str] = {
+    **dict.fromkeys(("low", "adverse", "motorway"), "r149-passing-c"),
+    "town": "r149-passing-v",
+    "high": "r149-driving-b",
+}
 
 
 def presets() -> Table:

@@ -16,7 +16,7 @@ from luxloop.loop.recording.summary import summarise as summarise_symbol
 from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.columns import of_one
 from luxloop.loop.simulation.evaluator import Evaluation
-from luxloop.loop.simulation.lamps import ShiningModule, flux_by_side
+from luxloop.loop.simulation.lamps import flux_by_side
 from luxloop.loop.simulation.redrawn import covering, open_loop_lights
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.headlight.lamp import REST
@@ -239,16 +239,11 @@ def reference_power(simulation: Simulation, table: pa.Table) -> Mapping[str, NDA
     own = dict.fromkeys(simulation.base(beam) for beam in beams)
     if set(own) - {*found, "base beam off"}:
         watts = [
-            _watts(simulation, [_base(module, beam, time_s) for module in modules])
+            _watts(simulation, [m.beam(beam) if m.raw is None else m.raw.at(time_s).to(m.flux) for m in modules])
             for time_s, beam in zip(column(table, "time_s"), beams, strict=True)
         ]
         found[next(iter(own)) if len(own) == 1 else "base beam"] = np.array(watts)
     return found
-
-
-def _base(module: ShiningModule, beam: str, time_s: float) -> Tensor:
-    """Undimmed utilisation `[n_p]` of a base beam, also of a beam that an edited scenario no longer names."""
-    return module.beam(beam) if module.raw is None else module.raw.at(time_s).to(module.flux)
 
 
 def _low_beam(simulation: Simulation) -> list[Tensor]:

@@ -49,12 +49,6 @@ def choose_labels(layout: Layout | None, **files: bool) -> Labels | None:
     return Labels(layout, **files)
 
 
-def part_names(world: World) -> tuple[str, ...]:
-    """Names of the parts of all objects, each once."""
-    bodies = (each.at(0.0) if isinstance(each, Figure) else each for each in world.scene.objects)
-    return tuple(dict.fromkeys(part.name for body in bodies for part in body.parts))
-
-
 def _array(values: Tensor, dtype: Any) -> np.ndarray:
     return np.ascontiguousarray(values.detach().cpu().numpy(), dtype)
 
@@ -86,7 +80,8 @@ class LabelRecorder:
     def __init__(self, directory: Path, world: World, labels: Labels, frames: FrameRecorder) -> None:
         """frames: the recorder of the labelled frames, to which each step is added first."""
         self._directory, self._world, self._labels, self._frames = directory, world, labels, frames
-        self._parts = part_names(world)
+        bodies = (each.at(0.0) if isinstance(each, Figure) else each for each in world.scene.objects)
+        self._parts = tuple(dict.fromkeys(part.name for body in bodies for part in body.parts))
         self._waiting: dict[int, Exposure] = {}  # for their frames
         self._images: list[str] = []
         self._annotations: list[str] = []

@@ -118,14 +118,10 @@ def load(directory: Path) -> Recording:
     """Read a recording. Raises LuxloopError where the directory is none, is damaged, or was written by a newer luxloop."""
     manifest = Manifest.read(directory)
     scenario = validate(manifest.scenario, f"{directory}/manifest.json: scenario")
-    return Recording(manifest, scenario, read_parquet(directory / TRAJECTORY), _edits(directory / EDITS))
-
-
-def _edits(file: Path) -> tuple[Edit, ...]:
-    if not file.is_file():
-        return ()
+    table, file = read_parquet(directory / TRAJECTORY), directory / EDITS
     with reading(file, "damaged, not the edits of a run", "record the run again"):
-        return EDIT_LIST.validate_python(parsed_json(content(file)))
+        edits = EDIT_LIST.validate_python(parsed_json(content(file)) if file.is_file() else ())
+    return Recording(manifest, scenario, table, edits)
 
 
 def refuse_foreign(directory: Path, scenario: Scenario, edits: Iterable[Edit]) -> None:

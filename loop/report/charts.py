@@ -89,17 +89,6 @@ def degree_grid(axes: Axes) -> None:
     axes.set_ylabel("up")
 
 
-def map_frame(axes: Axes, ink: str, lane_width_m: float) -> None:
-    """Draw the frame of a map: scales in m, the lane's edges, and the car."""
-    rear, front, half, _ = CAR_M
-    axes.set(xlim=BIRDSEYE_X_M, ylim=BIRDSEYE_Y_M, xlabel="ahead in m", ylabel="to the left in m")
-    axes.xaxis.set_major_locator(MultipleLocator(10))
-    axes.yaxis.set_major_locator(MultipleLocator(5))
-    for side in (-1, 1):
-        axes.axhline(side * lane_width_m / 2, color=ink, lw=0.7, ls=(0, (8, 4)), alpha=0.6)
-    axes.add_patch(Rectangle((rear, -half), front - rear, 2 * half, fill=False, ec=ink, lw=1))
-
-
 def object_outlines(axes: Axes, seen: RoadView, extent: tuple[float, float, float, float], ink: str) -> None:
     """Draw the outlines of all objects. extent: left, right, bottom and top of the picture, row 0 at the top."""
     ids = seen.surfaces.object_id.cpu().numpy()
@@ -176,7 +165,7 @@ def draw_wall(axes: Axes, car: LitCar, style: str) -> None:
 
 
 def draw_birdseye(axes: Axes, seen: RoadView, style: str, lane_width_m: float) -> None:
-    """Draw the road from above, ahead to the right."""
+    """Draw the road from above, ahead to the right, with the lane's edges, the car and outlines of objects."""
     (x0, x1), (y0, y1) = BIRDSEYE_X_M, BIRDSEYE_Y_M
     if style == "isolux":
         rows, cols = seen.illuminance.shape
@@ -186,8 +175,14 @@ def draw_birdseye(axes: Axes, seen: RoadView, style: str, lane_width_m: float) -
         false_colours(axes, seen.illuminance, (x0, x1, y0, y1), "lx")
     else:
         luminance_image(axes, seen.luminance, (x0, x1, y0, y1))
+    axes.set(xlim=(x0, x1), ylim=(y0, y1), xlabel="ahead in m", ylabel="to the left in m")
+    axes.xaxis.set_major_locator(MultipleLocator(10))
+    axes.yaxis.set_major_locator(MultipleLocator(5))
     ink = "0.2" if style == "isolux" else "white"
-    map_frame(axes, ink, lane_width_m)
+    for side in (-1, 1):
+        axes.axhline(side * lane_width_m / 2, color=ink, lw=0.7, ls=(0, (8, 4)), alpha=0.6)
+    rear, front, half, _ = CAR_M
+    axes.add_patch(Rectangle((rear, -half), front - rear, 2 * half, fill=False, ec=ink, lw=1))
     object_outlines(axes, seen, (x0, x1, y0, y1), ink)
 
 

@@ -273,4 +273,5 @@ def wall_light(modules: Sequence[ShiningModule], lights: Sequence[Tensor], colum
         if bool(u.any())
     ]
     middle = pose_from_degrees((0.0, 0.0, float(modules[0].T_world_module[2, 3])))
-    return wall_illuminance(lit, middle, *torch.meshgrid(h, v, indexing="xy"), WALL_M)
+    H, V = torch.meshgrid(h, v, indexing="xy")
+    return wall_illuminance(lit, middle, H, V, WALL_M)

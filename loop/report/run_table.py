@@ -79,7 +79,11 @@ def summary_table(values: Summary, files: str) -> Table:  # noqa: C901 (a row a 
                 f"no box in any step, though objects in sight had up to {lit:.3g} lx; correct the keys of [detector], or train it again"
             )
         if values.get("eyes_lx_max") is not None:
-            rows["on heads and windscreens"] = _on_eyes(values["eyes_lx_max"], values["eyes_lx_max_after_start_up"])
+            most, later = values["eyes_lx_max"], values["eyes_lx_max_after_start_up"]
+            rows["on heads and windscreens"] = f"{most:.3g} lx at most, all within the first {START_UP_S:g} s"
+            if later is not None:
+                after = f"{later:.3g} lx at most from {START_UP_S:g} s on"
+                rows["on heads and windscreens"] = f"{after}, {most:.3g} lx including the start-up before"
     if least := {name: each["confidence_min"] for name, each in values["objects"].items() if each.get("confidence_min") is not None}:
         lowest = sorted(least, key=least.__getitem__)
         named = ", ".join(f"{name} {least[name]:.2f}" for name in lowest[:NAMED])
@@ -188,9 +192,3 @@ def _of_energy(own_j: float, compared_j: Mapping[str, float]) -> str:
 
 def _joules(joules: float) -> str:
     return f"{joules:.3g} J" if joules < 100 else f"{joules:.0f} J"
-
-
-def _on_eyes(most_lx: float, later_lx: float | None) -> str:
-    if later_lx is None:
-        return f"{most_lx:.3g} lx at most, all within the first {START_UP_S:g} s"
-    return f"{later_lx:.3g} lx at most from {START_UP_S:g} s on, {most_lx:.3g} lx including the start-up before"

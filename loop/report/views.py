@@ -130,10 +130,24 @@ class Road:
         others = self._scene.spotlights_at(self.time_s)
         luminance = luminance + ambient_luminance(surfaces, self._scene.ambient_lx, self._scene.street_lamps, others)
         if air:
-            shadows = [None if self._shades is None else self._shadow(source) for source in car.sources]
-            luminance = _through_air(luminance, surfaces, view, car.sources, air, shadows, self._scene.ambient_lx)
+            luminance = self._through(air, luminance, surfaces, view, car.sources)
         total = np.where(surfaces.object_id.numpy() < 0, np.nan, grey(picture(illuminance)))
         return RoadView(view, surfaces, total, picture(luminance))
+
+    def _through(self, air: Medium, luminance: Tensor, surfaces: GBuffer, view: View, lit: Sequence[Source]) -> Tensor:
+        """A luminance attenuated by the air, plus the light that the air scatters towards the eye, of the lamps and of an even sky."""
+        rays = view.rays().flatten(1)
+        directions = (rays / rays.norm(dim=0)).float()
+        distance = (surfaces.position.flatten(1) - view.origin[:, None]).norm(dim=0).float()
+        distance = torch.where(surfaces.object_id.flatten() >= 0, distance, FARTHEST_M)
+        through = torch.exp(-air.extinction_per_m * distance)
+        # near the horizontal half of the scattered light comes from above, whatever the asymmetry: from a sky of luminance E / pi
+        sky = air.scattering_per_m / air.extinction_per_m * self._scene.ambient_lx / (2 * math.pi)
+        veiled = luminance.flatten(-2) * through + sky * (1 - through)
+        for source in lit:
+            shadow = None if self._shades is None else self._shadow(source)
+            veiled = veiled + airlight(source, view.origin, directions, distance, air, shadow=shadow)
+        return veiled.view(luminance.shape)
 
     @property
     def _shades(self) -> Triangles | None:
@@ -155,29 +169,6 @@ def picture(light: Tensor) -> Image:
 def grey(image: Image) -> Image:
     """Luminance `[H, W]` of an image `[H, W]`, or `[H, W, 3]` in linear sRGB."""
     return image if image.ndim == 2 else image @ LUMINANCE_OF_RGB
-
-
-def _through_air(
-    luminance: Tensor,
-    surfaces: GBuffer,
-    view: View,
-    lit: Sequence[Source],
-    air: Medium,
-    shadows: Sequence[ShadowMap | None],
-    ambient_lx: float,
-) -> Tensor:
-    """A luminance attenuated by the air, plus the light that the air scatters towards the eye, of the lamps and of an even sky."""
-    rays = view.rays().flatten(1)
-    directions = (rays / rays.norm(dim=0)).float()
-    distance = (surfaces.position.flatten(1) - view.origin[:, None]).norm(dim=0).float()
-    distance = torch.where(surfaces.object_id.flatten() >= 0, distance, FARTHEST_M)
-    through = torch.exp(-air.extinction_per_m * distance)
-    # Near the horizontal, half of the light scattered into a ray comes from above, whatever the asymmetry: from a sky of luminance E / pi.
-    sky = air.scattering_per_m / air.extinction_per_m * ambient_lx / (2 * math.pi)
-    veiled = luminance.flatten(-2) * through + sky * (1 - through)
-    for source, shadow in zip(lit, shadows, strict=True):
-        veiled = veiled + airlight(source, view.origin, directions, distance, air, shadow=shadow)
-    return veiled.view(luminance.shape)
 
 
 def driver(width_px: int = 1280) -> View:

@@ -61,12 +61,12 @@ def repeat(scenario: Scenario, edit: Edit) -> Scenario:
         return with_overrides(scenario, edit.overrides)
     course, steps = _vehicle(scenario).course, scenario.steps
     for override in edit.overrides:
-        following = f"[{len(course)}]"
         match tables(override):
             case {"steps": int(value), **others} if 1 <= value <= MOST_STEPS and not others:
                 steps = value
-            case {"vehicle": {"course": {**places}, **rest}, **others} if places.keys() == {following} and not (rest or others):
-                course = (*course, validate_model(CourseParams, places[following], "record the run again"))
+            case {"vehicle": {"course": dict(places), **rest}, **others} if [*places] == [f"[{len(course)}]"] and not (rest or others):
+                (following,) = places.values()
+                course = (*course, validate_model(CourseParams, following, "record the run again"))
             case _:
                 raise LuxloopError(f"edits: {override.partition('=')[0]} is not set by a driver; record the run again")
     return _longer(scenario, course[len(_vehicle(scenario).course) :], steps)[0]

@@ -39,7 +39,9 @@ def listing(kind: Kind) -> list[dict[str, Any]]:
         case "scenarios":
             return _scenarios()
         case "symbols":
-            return [{"name": name, "description": f"shown by {', '.join(_showing(name))}"} for name in shipped_files("symbols")]
+            shown = [(name, each.get("image")) for name, content in _contents().items() for each in content.get("functions", {}).values()]
+            scenarios = {symbol: dict.fromkeys(name for name, image in shown if image == symbol) for symbol in shipped_files("symbols")}
+            return [{"name": symbol, "description": f"shown by {', '.join(names)}"} for symbol, names in scenarios.items()]
         case "examples":
             return [
                 {"name": name, "description": path.read_text("utf-8").partition("\n")[0].strip('"# .')} for name, path in examples().items()
@@ -69,12 +71,6 @@ def _scenarios() -> list[dict[str, Any]]:
 def _contents() -> dict[str, dict[str, Any]]:
     """Tables of the shipped scenarios, by name."""
     return {name: tomllib.loads(file.read_text("utf-8")) for name, file in scenario_files().items()}
-
-
-def _showing(symbol: str) -> list[str]:
-    """The scenarios that show a symbol."""
-    functions = {name: content.get("functions", {}).values() for name, content in _contents().items()}
-    return [name for name, each in functions.items() if symbol in [function.get("image") for function in each]]
 
 
 def _variants(name: str) -> list[dict[str, Any]]:
