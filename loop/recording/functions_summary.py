@@ -182,8 +182,7 @@ def _over(values: NDArray[np.floating], what: str) -> float | None:
 
 
 def _zones(table: pa.Table) -> Summary:
-    """By zone: luminance and target at the end in cd/m^2, and the step from which on the luminance stays within 5 % of the target, or None.
-    """
+    """By zone: luminance and target in cd/m^2 at the end, and the step from which on the luminance stays within 5 % of the target."""
     found = {}
     for name in zones_of(table):
         luminance, target = column(table, f"functions.{name}.luminance"), column(table, f"functions.{name}.target")
