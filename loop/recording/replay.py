@@ -196,7 +196,7 @@ def columns_of(table: pa.Table, columns: pa.Schema, file: Path) -> pa.Table:
 
 
 def to_csv(directory: Path, file: Path) -> None:
-    """Write the steps of a recording as CSV, whole or not at all; null is an empty field. Raises LuxloopError if the file cannot be written."""
+    """Write a recording as CSV, whole or not at all; null is an empty field. Raises LuxloopError where the file cannot be written."""
     table = load(directory).table
     with whole(file) as part:
         pyarrow.csv.write_csv(table, part)
