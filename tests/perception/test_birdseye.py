@@ -45,13 +45,6 @@ def test_cells_look_where_their_point_projects() -> None:
     torch.testing.assert_close(sampled[:, inside], uv[:, inside], rtol=0, atol=1e-9)
 
 
-def test_axes_run_like_the_image() -> None:
-    plane = birds_eye(Region(10, 12, 1, -1, cell_m=0.5), VIEW)
-    assert plane.axes.u.tolist() == [-0.75, -0.25, 0.25, 0.75]  # -y, to the right
-    assert plane.axes.v.tolist() == [-11.75, -11.25, -10.75, -10.25]  # -x, towards the car
-    assert plane.map_u.shape == (4, 4)
-
-
 @pytest.mark.parametrize(("x", "y"), [((15, 19), (-1, 1)), ((12, 14), (0.5, 1.5)), ((20, 26), (-2, -0.5))])
 def test_a_rectangle_keeps_its_place_and_size(x: tuple[float, float], y: tuple[float, float]) -> None:
     plane = birds_eye(REGION, VIEW)

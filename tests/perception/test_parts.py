@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from luxloop.perception.boxes import (
     HEIGHTS_M,
     LEANS,
+    LENGTH_M,
     MEASURED,
     MISSING,
     USUAL_HEIGHTS_M,
@@ -20,6 +21,7 @@ from luxloop.perception.boxes import (
     uncut,
 )
 from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.world.traffic.tracked import Category
 
 VIEW = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5))
 
@@ -53,21 +55,19 @@ def test_a_foot_that_is_hidden_is_put_where_somebody_so_high_stands(x: float, hi
     torch.testing.assert_close(standing(half, ("pedestrian",), VIEW), whole, rtol=0, atol=1.0)  # px; as above, of the top's row
 
 
-@pytest.mark.parametrize("x", [3.0, 4.0, 5.0])
-def test_whoever_is_nearer_than_the_lowest_row_is_placed_by_the_usual_height(x: float) -> None:
+@pytest.mark.parametrize(
+    ("x", "kind", "width_m", "height_m"),
+    [*((x, "pedestrian", 0.6, USUAL_HEIGHTS_M["pedestrian"]) for x in (3.0, 4.0, 5.0)), (4.0, "car", 1.8, 1.5)],
+)
+def test_whoever_is_nearer_than_the_lowest_row_is_placed_by_the_usual_height_or_width(
+    x: float, kind: Category, width_m: float, height_m: float
+) -> None:
     """The row of the foot would say 6.25 m from the lamps; the camera is 1.6 m behind them."""
-    whole = upright(x, 0.6, USUAL_HEIGHTS_M["pedestrian"])
+    whole = upright(x, width_m, height_m)
     assert float(whole[0, 3]) > VIEW.height
-    cut = torch.cat([whole[:, :3], torch.tensor([[float(VIEW.height)]]).double()], 1)
-    place = place_boxes(standing(cut, ("pedestrian",), VIEW), ("pedestrian",), VIEW)
-    assert float(place.T_world_box[0, 0, 3] - 0.25) == pytest.approx(x, rel=0.05)
-    assert float(place.size_m[0, 2]) == pytest.approx(USUAL_HEIGHTS_M["pedestrian"], rel=0.05)
-
-
-def test_a_car_at_the_lowest_row_is_placed_by_its_usual_width() -> None:
-    whole = upright(4.0, 1.8, 1.5)
-    cut = torch.cat([whole[:, :3], torch.tensor([[float(VIEW.height)]]).double()], 1)
-    assert float(place_boxes(standing(cut, ("car",), VIEW), ("car",), VIEW).T_world_box[0, 0, 3] - 2.0) == pytest.approx(4.0, rel=0.05)
+    place = place_boxes(standing(whole.clamp(max=VIEW.height), (kind,), VIEW), (kind,), VIEW)
+    assert float(place.T_world_box[0, 0, 3]) - LENGTH_M[kind] / 2 == pytest.approx(x, rel=0.05)
+    assert kind == "car" or float(place.size_m[0, 2]) == pytest.approx(height_m, rel=0.05)
 
 
 def test_above_the_horizon_boxes_at_most_double() -> None:

@@ -46,13 +46,6 @@ def test_no_point_of_the_curve_is_closer(degree: int, seed: int) -> None:
     assert (distance <= dense + 1e-3 + 1e-3 * dense).all()
 
 
-def test_the_ends_are_found_by_points_beyond_them() -> None:
-    line = torch.tensor([[0.0, 0.0], [10.0, 0.0]])
-    t, distance = closest(line, torch.tensor([[-3.0, 4.0], [13.0, -4.0], [5.0, 2.0]]))
-    torch.testing.assert_close(t, torch.tensor([0.0, 1.0, 0.5]))
-    torch.testing.assert_close(distance, torch.tensor([5.0, 5.0, 2.0]))
-
-
 def test_batches_and_devices(device: torch.device) -> None:
     controls = torch.stack([curve(3, s) for s in range(4)]).float().to(device)
     points = torch.randn(4, 9, 2, device=device)

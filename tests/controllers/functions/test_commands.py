@@ -73,14 +73,10 @@ def test_a_motor_at_the_end_of_its_range_turns_back_at_once() -> None:
     assert turned == [pytest.approx(each) for each in ([-7.0, -3.0], [-7.0, -3.0], [-6.0, -2.0], [-5.0, -1.0])]
 
 
-def test_a_module_that_a_function_moves_from_now_on_is_there_at_once() -> None:
-    one, both = (planner(bend={"kind": "bending", "modules": modules}) for modules in (["right"], ["left", "right"]))
-    given = one.command({}, now(**CURVE), (FREE, Part("right free", FREE.swivel_deg)))
-    free, _ = commands(both.command(given, now(0.1, **CURVE), BOTH))
-    assert free.swivel_deg == pytest.approx(IN_CURVE_DEG)
-
-
-def test_levelling_turns_against_the_pitch_and_by_entries_over_time() -> None:
+def test_levelling_and_dimming_follow_the_pitch_and_entries_over_time() -> None:
+    dim = planner(dim={"kind": "dimming", "entries": [{"time_s": 1.0, "share": 1.0}, {"time_s": 2.0, "share": 0.5}], "stop_s": 5.0})
+    shares = [commands(dim.command({}, now(time_s), BOTH), FIXED)[0].intensity for time_s in (0.0, 1.5, 3.0, 5.0)]
+    assert shares == pytest.approx([1.0, 0.75, 0.5, 1.0])
     level = {"kind": "levelling", "entries": [{"time_s": 1.0, "level_deg": 0.5}, {"time_s": 3.0, "level_deg": 1.5}]}
     for dynamic, pitch_deg, time_s, expected in (
         (True, 0.0, 0.0, 0.5),
@@ -91,12 +87,6 @@ def test_levelling_turns_against_the_pitch_and_by_entries_over_time() -> None:
         given = planner(level=level | {"dynamic": dynamic}).command({}, now(time_s, pitch_rad=math.radians(pitch_deg)), BOTH)
         free, fixed = commands(given)
         assert free.level_deg == pytest.approx(expected) and fixed == ModuleCommand()
-
-
-def test_dimming_follows_its_entries_where_it_is_active() -> None:
-    dim = planner(dim={"kind": "dimming", "entries": [{"time_s": 1.0, "share": 1.0}, {"time_s": 2.0, "share": 0.5}], "stop_s": 5.0})
-    shares = [commands(dim.command({}, now(time_s), BOTH), FIXED)[0].intensity for time_s in (0.0, 1.5, 3.0, 5.0)]
-    assert shares == pytest.approx([1.0, 0.75, 0.5, 1.0])
 
 
 def test_turns_add_up_within_the_range_and_intensities_multiply() -> None:

@@ -39,6 +39,8 @@ def test_all_functions_come_together(find) -> None:  # type: ignore[no-untyped-d
     assert plan.primitives.priority.tolist() == sorted(plan.primitives.priority.tolist())
     hires, lores = plan.for_module("left hires"), plan.for_module("left lores")
     assert hires is not None and lores is not None and (len(hires), len(lores)) == (9, 8)
+    nothing = Planner.prepare({"guard": {"kind": "glare_free"}}, LightingParams()).plan(Situation(0.0, HERE, LAMPS))
+    assert nothing.primitives is None and nothing.for_module("left") is None
 
 
 def test_a_symbol_is_never_drawn_on_a_masked_car(find) -> None:  # type: ignore[no-untyped-def]
@@ -55,11 +57,6 @@ def test_a_symbol_is_never_drawn_on_a_masked_car(find) -> None:  # type: ignore[
     dark = ssc.utilisation(masked, T).u == 0
     assert dark.sum() > 20
     assert not ssc.utilisation(drawn, T).u[dark].any()
-
-
-def test_without_anything_to_do_the_base_beam_is_all() -> None:
-    plan = Planner.prepare({"guard": {"kind": "glare_free"}}, LightingParams()).plan(Situation(0.0, HERE, LAMPS))
-    assert plan.primitives is None and plan.for_module("left") is None
 
 
 def test_bad_tables_are_refused(tmp_path: Path) -> None:

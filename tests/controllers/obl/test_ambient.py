@@ -52,14 +52,7 @@ def test_it_rises_at_once_and_waits_between_two_steps() -> None:
         ambient = doubted(ambient, 0.1)
         shares.append(ambient.share)
     assert shares == [0.1] * (PARAMS.patience - 1) + [0.2]
-
-
-def test_for_who_may_be_helped_otherwise_it_waits() -> None:
-    assert PARAMS.step(Ambient(0.5, rested=9), [0.1, 0.9], [0.9]) == Ambient(0.5, rested=10)
-
-
-def test_it_is_never_more_than_the_whole_beam() -> None:
-    assert doubted(Ambient(0.8), 0.0).share == 1.0 == doubted(Ambient(1.0), 0.0).share
+    assert PARAMS.step(Ambient(0.5, rested=9), [0.1, 0.9], [0.9]) == Ambient(0.5, rested=10), "for who may be helped otherwise"
 
 
 def test_after_a_loss_it_stays_up_for_a_while_and_falls_again() -> None:

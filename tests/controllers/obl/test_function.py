@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -18,10 +19,11 @@ from luxloop.controllers.pixels.pixel_major import MrpcParams
 from luxloop.controllers.pixels.primitives import concatenate
 from luxloop.controllers.pixels.secondary import PotentialLight, SecondaryRays
 from luxloop.controllers.pixels.ssc import Ssc
-from luxloop.controllers.situation import AdaptiveFunction, Situation, TrackedObject
+from luxloop.controllers.situation import Situation, TrackedObject
 from luxloop.perception.tracking import LINGER_S
 from luxloop.world.frames import inverse, pose_from_degrees, transform
 from luxloop.world.lamps.presets import lamp
+from luxloop.world.params import Params
 
 HERE = torch.eye(4, dtype=torch.float64)
 PLACES = [pose_from_degrees((0.0, y, 0.65)) for y in (0.6, -0.6)]
@@ -68,15 +70,6 @@ def shining():  # type: ignore[no-untyped-def]
         return total
 
     return lx
-
-
-def test_it_is_an_adaptive_function_whose_state_is_a_value() -> None:
-    function: AdaptiveFunction = ObjectBasedParams()
-    state = function.start()
-    assert function.base_share(state) == 1.0
-    following = function.step(state, now(person(score=0.5)))
-    assert state == ObjectBasedState(Ambient(1.0)) and following != state
-    assert following == function.step(state, now(person(score=0.5)))
 
 
 @pytest.mark.parametrize("x", [12.0, 20.0, 30.0])
@@ -155,8 +148,19 @@ def test_the_rectangle_covers_the_box_seen_from_every_lamp(x: float, y: float, y
         assert (ray.norm(dim=0) - (hit + place.origin[:, None] - eye[:, None]).norm(dim=0)).amin() > -1e-6  # before the box
 
 
-def test_what_stands_beside_the_lamps_is_left_alone() -> None:
-    assert not CONSTANT.adapted(CONSTANT.start(), now(person(x=1.0, y=1.2)))
+@pytest.mark.parametrize(
+    ("params", "given", "words"),
+    [
+        (ObjectBasedParams, {"fade_out_s": 2 * LINGER_S}, "less than or equal to 2"),  # for longer than trackers tell of it
+        (GlareFreeParams, {"fade_out_s": 2 * LINGER_S}, "less than or equal to 2"),
+        (ObjectBasedParams, {"setpoints_lx": {"pedestrian": -1}}, "setpoints_lx.pedestrian\n.*greater than or equal to 0"),
+        (ObjectLightParams, {"dark": {"car": 2.0}}, "dark.car\n.*less than or equal to 1"),
+        (ObjectLightParams, {"period_m": 0.02}, "greater than or equal to 0.05"),
+    ],
+)
+def test_bad_values_are_refused_by_name(params: type[Params], given: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValidationError, match=words):
+        params(**given)
 
 
 def test_setpoints_follow_the_class() -> None:
@@ -184,13 +188,13 @@ def test_structure_is_light_and_dark_in_cells_of_half_a_period() -> None:
         assert cell == pytest.approx(0.2, rel=0.2)
     rows = ObjectLightParams(pattern="stripes").on(person(), LAMPS, 10.0, 0, 0, ())[0].image_of(0)
     assert (rows == rows[0]).all() and len(rows) == CELLS  # one row of them, however high the object is
-    with pytest.raises(ValidationError, match=r"greater than or equal to 0.05"):
-        ObjectLightParams(period_m=0.02)
 
 
 def test_a_new_object_is_lit_at_once_and_a_lost_one_fades() -> None:
     function = ObjectBasedParams()
-    state = function.step(function.start(), now(person(since_s=0.0, score=0.4)))
+    start, seen = function.start(), now(person(since_s=0.0, score=0.4))
+    state = function.step(start, seen)
+    assert start == ObjectBasedState(Ambient(1.0)) and function.base_share(start) == 1.0 and start != state == function.step(start, seen)
     assert function.adapted(state, now(person(since_s=0.0)))[0].value.item() == 20.0
     fading = []
     for k in range(30):
@@ -218,13 +222,6 @@ def test_a_new_track_goes_on_with_the_light_of_one_that_is_missed_there(y: float
     assert state.loops["another"].lx == (lx if goes_on else 20.0)
     both = now(person(score=0.7), person("second", y=1.2, since_s=2.6, score=0.7), time_s=2.6)
     assert function.step(state, both).loops["second"].lx == 20.0
-
-
-@pytest.mark.parametrize("params", [ObjectBasedParams, GlareFreeParams])
-def test_nothing_fades_for_longer_than_trackers_tell_of_it(params: type[ObjectBasedParams | GlareFreeParams]) -> None:
-    assert params(fade_out_s=LINGER_S).fade_out_s == LINGER_S
-    with pytest.raises(ValidationError, match="less than or equal to 2"):
-        params(fade_out_s=5.0)
 
 
 def test_neighbours_that_share_their_light_settle_together() -> None:
@@ -258,10 +255,3 @@ def test_it_is_the_lost_object_that_brings_light_back(bright: float, dim: float,
     for k in range(60, 70):
         state = function.step(state, now(person(score=math.nan), time_s=k / 30))
     assert (state.share > low) == rises
-
-
-def test_bad_values_are_refused_by_name() -> None:
-    with pytest.raises(ValidationError, match=r"setpoints_lx\.pedestrian\n  Input should be greater than or equal to 0"):
-        ObjectBasedParams(setpoints_lx={"pedestrian": -1})
-    with pytest.raises(ValidationError, match=r"dark\.car\n  Input should be less than or equal to 1"):
-        ObjectLightParams(dark={"car": 2.0})

@@ -44,32 +44,17 @@ places = st.tuples(st.floats(-2, 2), st.floats(-1, 0.3), st.floats(0.001, 1), st
 
 @settings(deadline=None, max_examples=60)
 @given(places)
-def test_no_light_reaches_a_masked_body_however_thin(place: tuple[float, ...]) -> None:
+def test_no_light_reaches_a_masked_body_however_thin_and_few_texels_more_are_dark(place: tuple[float, ...]) -> None:
     dark = mask(*place)
     u = Ssc.prepare(LAMP, default=FULL).utilisation(dark, T).u
     assert not light_at(u, dark).any()
     assert (u == 0).any() or not light_at(FULL, dark).any()
-
-
-@settings(deadline=None, max_examples=40)
-@given(places)
-def test_a_mask_takes_all_texels_whose_light_is_interpolated_on_it_and_few_more(place: tuple[float, ...]) -> None:
-    dark = mask(*place)
     hit = trace(dark, LAMP, T).hit
     corners = dark.corners()[0, [0, 1, 3, 2]]
     row, col = LAMP.texel_of(corners[:, 1] / corners[:, 0], corners[:, 2] / corners[:, 0])
     low, high = torch.stack([row, col]).amin(1) - 1.52, torch.stack([row, col]).amax(1) + 1.52
     at = torch.nonzero(hit)
     assert (at + 0.5 >= low).all() and (at + 0.5 <= high + 1e-3).all()
-
-
-def test_a_window_of_a_mask_holds_its_fringe() -> None:
-    dark = mask(0.3, -0.2, 0.4, 0.3, 20.0, 0.3)
-    single = Ssc.prepare(LAMP, default=FULL).utilisation(dark, T).u
-    batch = concatenate(dark, mask(50.0, 0.0, 1.0, 1.0))
-    stacked = type(batch)(**{**vars(batch), **{k: getattr(batch, k)[None] for k in ("origin", "d1", "d2", "normal", "value", "weight")}})
-    # both sum the same in float32, with more or fewer images at once
-    torch.testing.assert_close(Ssc.prepare(LAMP, default=FULL).utilisation(stacked, T).u[0], single, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("weight", [1e12, 1e15, 1e30, 1e38])
@@ -79,22 +64,6 @@ def test_heavy_light_beside_a_mask_is_neither_brighter_nor_dark(weight: float) -
     expected, heavy = (ssc.utilisation(concatenate(board(0.0, 0.0, 8.0, 4.0, value=0.5, weight=each), dark), T).u for each in (1e9, weight))
     assert ((expected > 0.4) & (expected < 0.5 + 1e-6)).any() and (expected == 0).any()
     torch.testing.assert_close(heavy, expected, rtol=0, atol=1e-5)  # float32
-
-
-@pytest.mark.parametrize("a_r", [0.0, 2.0, 8.0])
-def test_a_mask_is_dark_whatever_light_is_raised_to(a_r: float) -> None:
-    """Its texels are pixels' faintest too, of 1e-4 of their peaks and less."""
-    light = lamp("hd84").finest.headlight
-    dark = mask(0.0, -0.3, 0.6, 0.4)
-    u = Ssc.prepare(light, MrpcParams(a_r=a_r), torch.ones(light.n_pixels)).utilisation(dark, T).u
-    assert not light.light_texture(u)[trace(dark, light, T).hit].any()
-
-
-def test_one_ray_of_infinite_weight_darkens_a_pixel_fully() -> None:
-    tiny = mask(0.02, -0.11, 0.01, 0.01)
-    u = Ssc.prepare(LAMP, default=FULL).utilisation(tiny, T).u
-    assert 1 <= (u == 0).sum() <= 4 * 4  # the pixels that reach one of at most 2 x 2 texels
-    assert ((u == 0) | (u == 1)).all()
 
 
 def test_infinite_beats_finite_and_forced_beats_near() -> None:
@@ -107,24 +76,17 @@ def test_infinite_beats_finite_and_forced_beats_near() -> None:
     above = board(0.0, 0.0, 100.0, 100.0, x=40.0, value=0.7, forced=True, priority=1)
     u = ssc.utilisation(concatenate(above, near, far), T).u
     torch.testing.assert_close(u, torch.full_like(u, 0.7))
+    second = board(0.0, 0.0, 100.0, 100.0, value=0.6)
+    for priority, wins in ((0, 0.6), (1, 0.2)):  # in one plane: the later, unless the first is more important
+        first = board(0.0, 0.0, 100.0, 100.0, value=0.2, priority=priority)
+        assert ssc.utilisation(concatenate(first, second), T).u.mean().item() == pytest.approx(wins)
 
 
-def test_coplanar_ties_go_by_priority_and_then_to_the_later() -> None:
-    first, second = (board(0.0, 0.0, 100.0, 100.0, value=v) for v in (0.2, 0.6))
-    ssc = Ssc.prepare(LAMP)
-    assert ssc.utilisation(concatenate(first, second), T).u.mean().item() == pytest.approx(0.6)
-    important = board(0.0, 0.0, 100.0, 100.0, value=0.2, priority=1)
-    assert ssc.utilisation(concatenate(important, second), T).u.mean().item() == pytest.approx(0.2)
-
-
-@pytest.mark.parametrize("changes", [{"lower_cd": 5000.0}, {"a_ac": 1.0}, {"a_x": 1.0}, {"sampling": "brightest"}, {"a_d": 2.0}])
+@pytest.mark.parametrize(
+    "changes", [{"lower_cd": 5000.0}, {"a_ac": 1.0}, {"a_x": 1.0}, {"sampling": "brightest"}, {"a_d": 2.0}, {"a_r": 0.0}, {"a_r": 8.0}]
+)
 def test_nothing_lifts_a_mask(changes: dict) -> None:
-    dark = mask(0.3, -0.2, 0.4, 0.3)
-    u = Ssc.prepare(LAMP, MrpcParams(**changes), default=FULL).utilisation(dark, T).u
-    assert not light_at(u, dark).any()
-
-
-def test_bright_setpoints_of_infinite_weight_beat_exclusion_and_activation() -> None:
-    bright = board(0.3, -0.2, 0.4, 0.3, value=0.5, weight=math.inf)
-    u = Ssc.prepare(LAMP, MrpcParams(a_x=1.0, a_ac=1.0), default=FULL).utilisation(bright, T).u
-    assert sorted(u.unique().tolist()) == pytest.approx([0.5, 1.0])
+    """Its texels are pixels' faintest too, of 1e-4 of their peaks and less."""
+    light, dark = lamp("hd84").finest.headlight, mask(0.0, -0.3, 0.6, 0.4)
+    u = Ssc.prepare(light, MrpcParams(**changes), torch.ones(light.n_pixels)).utilisation(dark, T).u
+    assert not light.light_texture(u)[trace(dark, light, T).hit].any()

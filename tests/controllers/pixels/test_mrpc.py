@@ -69,23 +69,6 @@ def base_pattern(seed: int) -> Tensor:
     return torch.rand(PIXELS, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
 
 
-@pytest.mark.parametrize("quantity", ["I_v", "E_v", "u_abs", "u_rel"])
-@pytest.mark.parametrize("a_r", [0.0, 1.0, 2.0])
-@pytest.mark.parametrize("a_m", [0.0, 0.5, 1.0, 2.0])
-def test_equals_the_plain_sums(a_m: float, a_r: float, quantity: Quantity) -> None:
-    for seed in range(3):
-        lamp, A = random_lamp(seed)
-        default = base_pattern(seed)
-        setpoints = random_setpoints(seed, A, quantity)
-        if quantity == "u_rel":
-            setpoints = replace(setpoints, value=2 * setpoints.value)  # so that some pixels would need more than full
-        u, _ = reduced(setpoints, lamp, MrpcParams(a_m=a_m, a_r=a_r), default)
-        expected, _ = reference.map_reduce(A, rays(setpoints), MrpcParams(a_m=a_m, a_r=a_r), default.numpy(), COLS)
-        # float64 sums over at most 48 texels.
-        np.testing.assert_allclose(u, expected, rtol=0, atol=1e-12)
-        assert u[DARK_PIXEL] == default[DARK_PIXEL]
-
-
 @pytest.mark.parametrize("given", [{"a_m": -1}, {"a_m": 9}, {"a_r": 9}, {"lower_cd": 500, "upper_cd": 100}])
 def test_exponents_out_of_bounds_and_bounds_in_the_wrong_order_are_refused(given: dict[str, float]) -> None:
     with pytest.raises(ValidationError, match=r"a_|below lower_cd"):

@@ -6,40 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from luxloop.controllers.pixels.primitives import QUANTITIES, Observer, Primitives, concatenate, rectangle, road_symbol
 from luxloop.world.errors import LuxloopError
 
-SYMBOL = torch.ones(2, 3)
 
-
-def symbol_at(x: float, y: float, roll: float = 0.0, pitch: float = 0.0, z: float = 0.0) -> Primitives:
-    return road_symbol(torch.tensor([x, y, roll, pitch], dtype=torch.float64), z, 2.0, 4.0, SYMBOL, 1.0, "u_abs")
-
-
-def test_flat_symbol_is_read_by_the_driver() -> None:
-    p = symbol_at(17, 0.5, z=0.1)
-    # Image row 0 is the far end, column 0 is on the left: far left, far right, near left, near right.
-    expected = [[19, 1.5, 0.1], [19, -0.5, 0.1], [15, 1.5, 0.1], [15, -0.5, 0.1]]
-    np.testing.assert_allclose(p.corners()[0], expected, atol=1e-12)
-    assert p.normal.tolist() == [[0, 0, 1]]
-
-
-def height(p: Primitives, corner: int) -> float:
-    return p.corners()[0, corner, 2].item()
-
-
-def test_signs_of_roll_and_pitch() -> None:
-    rolled = symbol_at(17, 0, roll=0.1)
-    assert height(rolled, 0) > 0 > height(rolled, 1), "positive roll: right side down"
-    pitched = symbol_at(17, 0, pitch=0.1)
-    assert height(pitched, 0) < 0 < height(pitched, 2), "positive pitch: far end down"
-
-
-def test_order_is_roll_within_pitch() -> None:
-    roll, pitch = 0.3, 0.2
-    # R = Ry(pitch) Rx(roll): the forward edge knows pitch only.
-    np.testing.assert_allclose(-symbol_at(17, 0, roll, pitch).d2[0] / 4, [math.cos(pitch), 0, -math.sin(pitch)], atol=1e-12)
+@pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.3, 0.2)])
+def test_a_symbol_is_read_by_the_driver_and_turned_by_roll_within_pitch(roll: float, pitch: float) -> None:
+    """Image row 0 is the far end, column 0 is on the left: far left, far right, near left, near right."""
+    drawn = road_symbol(torch.tensor([17.0, 0.5, roll, pitch]).double(), 0.1, 2.0, 4.0, torch.ones(2, 3), 1.0, "u_abs")
+    R = Rotation.from_euler("YX", [pitch, roll]).as_matrix()
+    corners = [[2, 1, 0], [2, -1, 0], [-2, 1, 0], [-2, -1, 0]] @ R.T + [17, 0.5, 0.1]
+    np.testing.assert_allclose(drawn.corners()[0], corners, atol=1e-6)  # angles in float32
+    np.testing.assert_allclose(drawn.normal[0], R[:, 2], atol=1e-6)
 
 
 def board(x: float, **changes) -> Primitives:
@@ -60,13 +40,9 @@ def test_lists_are_put_together_and_taken_apart() -> None:
     assert last.forced.tolist() == [True, False]
     assert last.priority.tolist() == [3, 0]
     assert torch.equal(last.symbols[last.symbol_of[1]], image)
-
-
-def test_an_image_of_several_is_kept_once() -> None:
-    image = torch.rand(3, 4, dtype=torch.float64)
-    both = concatenate(board(10, symbol=image), board(11), board(12, symbol=image))
-    assert len(both.symbols) == 2
-    assert both.symbol_of.tolist() == [0, 1, 0]
+    image = image.double()
+    shared = concatenate(board(10, symbol=image), board(11), board(12, symbol=image))
+    assert len(shared.symbols) == 2 and shared.symbol_of.tolist() == [0, 1, 0], "an image of several is kept once"
 
 
 def test_a_module_draws_what_names_it_its_lamp_or_nobody() -> None:
@@ -95,10 +71,7 @@ def test_vectors_may_be_sequences_and_take_the_precision_of_the_tensors_beside_t
         for name in ("origin", "d1", "d2", "normal"):
             assert getattr(listed, name).dtype == like and getattr(listed, name).equal(getattr(made, name))
     assert rectangle([10, 1, 0], [0, -2, 0], [-2, 0, 0], 1.0).origin.dtype == torch.float32
-
-
-def test_a_normal_of_any_length_is_normalised() -> None:
-    assert board(10, normal=torch.tensor([-3.0, 0.0, 4.0])).normal.tolist() == [[-0.6, 0.0, 0.8]]
+    assert board(10, normal=torch.tensor([-3.0, 0.0, 4.0])).normal.tolist() == [[-0.6, 0.0, 0.8]], "of any length"
     np.testing.assert_allclose(board(10).normal, [[1, 0, 0]])
 
 

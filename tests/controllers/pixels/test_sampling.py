@@ -42,14 +42,6 @@ def test_samples_are_those_of_the_reference(sampling: str) -> None:
         assert dict(zip(texels, weights[mine].tolist(), strict=True)) == pytest.approx(expected)
 
 
-def test_rendering_is_free_of_anti_aliasing() -> None:
-    """One ray a pixel: it is asked for what its middle hits, all or nothing."""
-    edge = wall(1.0)
-    hard, soft = (Ssc.prepare(LAMP, params).utilisation(edge, T).u for params in (MrpcParams(sampling="brightest"), None))
-    assert set(hard.unique().tolist()) == {0.0, 1.0}
-    assert len(soft.unique()) > 2
-
-
 def test_a_rectangle_keeps_the_pixel_s_light_and_fills_its_box() -> None:
     A = np.zeros((1, 30))
     A[0, [7, 8, 13]] = [4.0, 2.0, 1.9]  # 5 x 6 texels: two in row 1, one in row 2, which is below half of the peak

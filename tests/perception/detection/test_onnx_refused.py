@@ -70,113 +70,43 @@ class TwoOutputs(Tiny):
 
 PICTURE = torch.zeros(1, 3, SIZE, SIZE)
 OURS = {0: "pedestrian", 1: "car"}
-REFUSED: dict[str, tuple[nn.Module, tuple[Tensor, ...], dict[str, Any], str]] = {
-    "yolov8 as yolov5": (
-        Tiny(84),
-        (PICTURE,),
-        {"layout": "yolov5"},
-        r"layout: .* gives 1 x 84 x 64 numbers, which cannot be yolov5: scores reach from .* and not within 0..1; "
-        r'set detector.layout = "yolov8"$',
-    ),
-    "yolov5 as yolov8": (YoloV5(85), (PICTURE,), {}, r'layout: .* cannot be yolov8: scores reach .*; set detector.layout = "yolov5"$'),
-    "yolov8 turned, as yolov5, of COCO": (
-        YoloV5(84),
-        (PICTURE,),
-        {"layout": "yolov5"},
-        r"classes: .* 79 classes as yolov5, and not the 80 of COCO; set detector.classes, or export it as 1 x 84 x 64 and set "
-        r'detector.layout = "yolov8" where its boxes have no objectness$',
-    ),
-    "yolov8 turned, as yolov5, with all of its classes": (
-        YoloV5(6),
-        (PICTURE,),
-        {"layout": "yolov5", "classes": OURS},
-        r"classes: .* 1 classes as yolov5, counted from 0, so there is no 1; correct detector.classes, or export it as 1 x 6 x 64 .*",
-    ),
-    "yolov8 turned, as yolov8": (
-        YoloV5(7),
-        (PICTURE,),
-        {"classes": OURS},
-        r'layout: .* cannot be yolov8: scores .*; set detector.layout = "yolov5", or export it as 1 x 7 x 64 .* no objectness$',
-    ),
-    "yolov8 as yolov10": (
-        Tiny(84),
-        (PICTURE,),
-        {"layout": "yolov10"},
-        r'layout: .* cannot be yolov10: each box has 64 numbers; set detector.layout = "yolov8"$',
-    ),
-    "yolov10 as yolov8": (YoloV10(6), (PICTURE,), {}, r'layout: .* cannot be yolov8: scores .*; set detector.layout = "yolov10"$'),
-    "yolov10 as yolov5": (
-        YoloV10(6),
-        (PICTURE,),
-        {"layout": "yolov5", "classes": {0: "pedestrian"}},
-        r'layout: .* cannot be yolov5: the sixth number .* classes of yolov10 are; set detector.layout = "yolov10"$',
-    ),
-    "yolov5 of one class as yolov10": (
-        YoloV5(6),
-        (PICTURE,),
-        {"layout": "yolov10", "classes": {0: "pedestrian"}},
-        r"layout: .* cannot be yolov10: the sixth number .* is not a class number; set detector.layout = \"yolov5\", or export it as .*",
-    ),
-    "before the sigmoid": (
-        Tiny(84, logits=True),
-        (PICTURE,),
-        {},
-        r"layout: .*: scores reach from -.*; export it with boxes in px and scores of 0..1",
-    ),
-    "boxes as shares": (
-        Tiny(84, px=1.0),
-        (PICTURE,),
-        {},
-        r"layout: .*: boxes reach to .* shares of the picture and not px; export it with boxes in px",
-    ),
-    "before the boxes are made": (
-        Grid(255),
-        (PICTURE,),
-        {},
-        r"layout: .* 1 x 255 x 8 x 8 numbers, .* there must be three dimensions.*; export it",
-    ),
-    "classes of one's own": (
-        Tiny(6),
-        (PICTURE,),
-        {},
-        r"classes: .* 1 x 6 x 64 numbers, 2 classes as yolov8, and not the 80 of COCO; set detector.classes$",
-    ),
-    "classes that it lacks": (
-        Tiny(6),
-        (PICTURE,),
-        {"classes": {2: "car"}},
-        r"classes: .* 2 classes as yolov8, counted from 0, so there is no 2; correct detector.classes$",
-    ),
-    "channels last": (
-        ChannelsLast(84),
-        (torch.zeros(1, SIZE, SIZE, 3),),
-        {},
-        r"file: .* takes .*float32 1 x 64 x 64 x 3.*; export it .* \(NCHW\)$",
-    ),
-    "bytes, channels last": (
-        ChannelsLast(84),
-        (torch.zeros(1, SIZE, SIZE, 3, dtype=torch.uint8),),
-        {},
-        r"file: .* takes .*uint8 1 x 64 x 64 x 3.*; export it for float32 numbers of 0..1",
-    ),
-    "bytes": (Bytes(84), (PICTURE.byte(),), {}, r"file: .* takes .*uint8 1 x 3 x 64 x 64.*; export it for float32 numbers of 0..1"),
-    "two inputs": (
-        TwoInputs(84),
-        (PICTURE, torch.ones(1)),
-        {},
-        r"file: .* has 2 inputs: .*64 x 64\), .*\(float32 1\); export it with one",
-    ),
-    "two outputs": (TwoOutputs(84), (PICTURE,), {}, r"file: .* has 2 outputs: .*1 x 4 x 64.*, .*1 x 80 x 64.*; export it with one"),
-    "batch of 4": (Tiny(84), (PICTURE.repeat(4, 1, 1, 1),), {}, r"file: .* takes 4 pictures at once.*; export it for a batch of 1$"),
-    "grey": (Tiny(84, channels=1), (PICTURE[:, :1],), {}, r"file: .* 1 channels and not 3.*; set detector.channels = 1$"),
-    "four channels": (Tiny(84, channels=4), (PICTURE[:, [0, 1, 2, 0]],), {}, r"file: .* 4 channels and not 3.*; export it for 1 or 3$"),
-    "another size, which OpenCV would make fit": (
-        Tiny(84),
-        (torch.zeros(1, 3, 32, 96),),
-        {},
-        r"file: .* takes pictures of 96 x 32 px and not 64 x 64; set detector.input_px = \[96, 32\]$",
-    ),
+
+
+def wrong(module: nn.Module, words: str, *inputs: Tensor, **params: Any) -> tuple:
+    return module, words, inputs or (PICTURE,), params
+
+
+LAST = torch.zeros(1, SIZE, SIZE, 3)
+ONE = {0: "pedestrian"}
+REFUSED = {
+    "yolov8 as yolov5": wrong(Tiny(84), r'layout: .*1 x 84 x 64 .* not within 0..1; set detector.layout = "yolov8"$', layout="yolov5"),
+    "yolov5 as yolov8": wrong(YoloV5(85), r'layout: .* scores .*; set detector.layout = "yolov5"$'),
+    "yolov8 turned, as yolov5, of COCO": wrong(YoloV5(84), r"classes: .* 79 classes .* 80 of COCO; .* export it", layout="yolov5"),
+    "yolov8 turned, as yolov5, all classes": wrong(YoloV5(6), "classes: .* there is no 1; .* 1 x 6 x 64", layout="yolov5", classes=OURS),
+    "yolov8 turned, as yolov8": wrong(YoloV5(7), 'layout: .* scores .*"yolov5", or export it as 1 x 7 x 64', classes=OURS),
+    "yolov8 as yolov10": wrong(Tiny(84), r'layout: .* each box has 64 numbers; .* "yolov8"$', layout="yolov10"),
+    "yolov10 as yolov8": wrong(YoloV10(6), r'layout: .* scores .*; set detector.layout = "yolov10"$'),
+    "yolov10 as yolov5": wrong(YoloV10(6), r'layout: .* the sixth number .*"yolov10"$', layout="yolov5", classes=ONE),
+    "yolov5 of one class as yolov10": wrong(YoloV5(6), 'layout: .* no.* class number; .* "yolov5"', layout="yolov10", classes=ONE),
+    "before the sigmoid": wrong(Tiny(84, logits=True), "layout: .*: scores reach from -.*; export it"),
+    "boxes as shares": wrong(Tiny(84, px=1.0), "layout: .* shares of the picture and not px; export it"),
+    "before the boxes are made": wrong(Grid(255), r"layout: .* 1 x 255 x 8 x 8 numbers, .* three dimensions.*; export it"),
+    "own classes": wrong(Tiny(6), "classes: .* 2 classes as yolov8, and not the 80 of COCO; set detector.classes$"),
+    "classes that it lacks": wrong(Tiny(6), "classes: .* 2 classes .* there is no 2; correct detector.classes$", classes={2: "car"}),
+    "channels last": wrong(ChannelsLast(84), r"file: .*float32 1 x 64 x 64 x 3.*; export it .* \(NCHW\)$", LAST),
+    "bytes, channels last": wrong(ChannelsLast(84), "file: .*uint8 1 x 64 x 64 x 3.*; export it for float32", LAST.byte()),
+    "bytes": wrong(Bytes(84), "file: .*uint8 1 x 3 x 64 x 64.*; export it for float32", PICTURE.byte()),
+    "two inputs": wrong(TwoInputs(84), "file: .* has 2 inputs: .*; export it with one", PICTURE, torch.ones(1)),
+    "two outputs": wrong(TwoOutputs(84), "file: .* has 2 outputs: .*; export it with one"),
+    "batch of 4": wrong(Tiny(84), "file: .* takes 4 pictures at once.*; export it for a batch of 1$", PICTURE.repeat(4, 1, 1, 1)),
+    "grey": wrong(Tiny(84, channels=1), "file: .* 1 channels and not 3.*; set detector.channels = 1$", PICTURE[:, :1]),
+    "four channels": wrong(Tiny(84, channels=4), "file: .* 4 channels .*; export it for 1 or 3$", PICTURE[:, [0, 1, 2, 0]]),
+    "another size": wrong(Tiny(84), r"file: .* 96 x 32 px .*; set detector.input_px = \[96, 32\]$", torch.zeros(1, 3, 32, 96)),
 }
+
+
+def opened(file: str | Path, **params: Any) -> OnnxDetector:
+    return OnnxDetector(OnnxParams(file=str(file), **{"input_px": (SIZE, SIZE), **params}))
 
 
 def export(module: nn.Module, inputs: tuple[Tensor, ...], file: Path, **options: Any) -> str:
@@ -188,10 +118,10 @@ def export(module: nn.Module, inputs: tuple[Tensor, ...], file: Path, **options:
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_is_read_wrongly_is_refused_when_it_is_loaded(case: str, tmp_path: Path) -> None:
-    module, inputs, params, message = REFUSED[case]
+    module, message, inputs, params = REFUSED[case]
     file = export(module, inputs, tmp_path / "network.onnx")
     with pytest.raises(LuxloopError, match=r"^detector\." + message):
-        OnnxDetector(OnnxParams(file=file, **{"input_px": (SIZE, SIZE), **params}))
+        opened(file, **params)
 
 
 def test_batches_and_sizes_left_open_and_half_precision_are_taken(tmp_path: Path) -> None:
@@ -200,7 +130,7 @@ def test_batches_and_sizes_left_open_and_half_precision_are_taken(tmp_path: Path
     left_open = export(Tiny(84), (torch.zeros(2, 3, 64, 96),), tmp_path / "open.onnx", dynamic_shapes=shapes)
     half = export(Tiny(84).half(), (PICTURE.half(),), tmp_path / "half.onnx")
     for file, size in ((left_open, (64, 32)), (left_open, (128, 64)), (half, (SIZE, SIZE))):
-        assert OnnxDetector(OnnxParams(file=file, input_px=size)).detect(torch.rand(1, 48, 64))[0].scores.shape[1] == 6
+        assert opened(file, input_px=size).detect(torch.rand(1, 48, 64))[0].scores.shape[1] == 6
 
 
 def test_scores_that_leave_their_range_in_a_later_frame_are_refused(tmp_path: Path) -> None:
@@ -210,7 +140,7 @@ def test_scores_that_leave_their_range_in_a_later_frame_are_refused(tmp_path: Pa
         def forward(self, pictures: Tensor) -> Tensor:
             return torch.cat([pictures.new_full((1, 4, 5), 20.0), pictures.amin((1, 2, 3)).mul(5).view(1, 1, 1).expand(1, 1, 5)], 1)
 
-    late = OnnxDetector(OnnxParams(file=export(Late(), (PICTURE,), tmp_path / "late.onnx"), input_px=(SIZE, SIZE), classes={0: "car"}))
+    late = opened(export(Late(), (PICTURE,), tmp_path / "late.onnx"), classes={0: "car"})
     assert len(late.detect(torch.zeros(1, 32, 32))[0]) == 0
     with pytest.raises(LuxloopError, match=r"scores reach from 5 to 5 and not within 0..1"):
         late.detect(torch.ones(1, 32, 32))
@@ -229,11 +159,11 @@ def test_sizes_that_are_only_declared_fill_no_memory(tmp_path: Path) -> None:
     weights = TensorProto(name="w", data_type=TensorProto.FLOAT, dims=(30_000, 30_000), raw_data=b"0000")
     add = helper.make_node("Add", ["x", "w"], ["y"])
     with pytest.raises(LuxloopError, match=r"is not a valid ONNX file \(.*size \(4 bytes\) is too small.*\); export it again"):
-        OnnxDetector(OnnxParams(file=written([add], [weights], tmp_path / "weights.onnx"), input_px=(SIZE, SIZE)))
+        opened(written([add], [weights], tmp_path / "weights.onnx"))
     nodes = [helper.make_node("ReduceSum", ["x"], ["d"], keepdims=0), helper.make_node("Expand", ["d", "sides"], ["w"]), add]
     sides = numpy_helper.from_array(np.array([100_000, 100_000]), "sides")
     with pytest.raises(LuxloopError, match=r"numbers between two of its layers .* at least 40 GB of memory, more than the budget"):
-        OnnxDetector(OnnxParams(file=written(nodes, [sides], tmp_path / "made.onnx"), input_px=(SIZE, SIZE)))
+        opened(written(nodes, [sides], tmp_path / "made.onnx"))
 
 
 CONV, ZERO = numpy_helper.from_array(np.zeros((3, 3, 1, 1), np.float32), "w"), numpy_helper.from_array(np.zeros(1, np.int32), "w")
@@ -251,7 +181,7 @@ INTEGERS = [helper.make_node("Cast", ["x"], ["i"], to=TensorProto.INT32), helper
 )
 def test_divisions_by_zero_which_would_end_the_process_are_refused(nodes: Any, tensors: Any, words: str, tmp_path: Path) -> None:
     with pytest.raises(LuxloopError, match=rf"^detector\.file: .*{words}"):
-        OnnxDetector(OnnxParams(file=written(nodes, tensors, tmp_path / "a.onnx"), input_px=(SIZE, SIZE)))
+        opened(written(nodes, tensors, tmp_path / "a.onnx"))
 
 
 def test_functions_and_unknown_types_are_refused(tmp_path: Path) -> None:
@@ -261,7 +191,7 @@ def test_functions_and_unknown_types_are_refused(tmp_path: Path) -> None:
     model.graph.input[0].type.tensor_type.elem_type = 99
     onnx.save(model, file)
     with pytest.raises(LuxloopError, match=r"^detector\.file: .*type 99"):
-        OnnxDetector(OnnxParams(file=str(file), input_px=(SIZE, SIZE)))
+        opened(file)
     opsets = [helper.make_opsetid("", 17), helper.make_opsetid("own", 1)]
     for k in range(40):
         called = ("Identity", "") if k == 0 else (f"f{k - 1}", "own")
@@ -269,4 +199,4 @@ def test_functions_and_unknown_types_are_refused(tmp_path: Path) -> None:
         model.functions.append(helper.make_function("own", f"f{k}", ["a"], ["b"], body, opsets))
     onnx.save(model, file)
     with pytest.raises(LuxloopError, match=r"^detector\.file: .*holds functions"):
-        OnnxDetector(OnnxParams(file=str(file), input_px=(SIZE, SIZE)))
+        opened(file)
