@@ -1,6 +1,5 @@
 """The contract of detectors: what keeps it passes, and each way of breaking it has a sentence with cause and remedy."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import pytest
@@ -17,48 +16,48 @@ from tests.refusal import refusal
 class Brightest:
     classes: Any = ("other",)
 
-    def __init__(self, device: torch.device, size_px: float = 40.0) -> None:
+    def __init__(self, device, size_px=40.0):
         self.half, self.memory = size_px / 2, [0.0]
 
-    def detect(self, frames: Tensor) -> Any:
+    def detect(self, frames):
         return [self.found(frame) for frame in frames]
 
-    def found(self, frame: Tensor) -> Any:
+    def found(self, frame):
         row, column = divmod(int(frame.argmax()), frame.shape[1])
         box = torch.tensor([[column - self.half, row - self.half, column + self.half, row + self.half]]).to(frame)
         return Detections(self.boxes(box), self.scores(frame.max().view(1, 1)))
 
-    def boxes(self, box: Tensor) -> Tensor:
+    def boxes(self, box):
         return box
 
-    def scores(self, score: Tensor) -> Tensor:
+    def scores(self, score):
         return score
 
 
 class Nothing(Brightest):
-    def found(self, frame: Tensor) -> Detections:
+    def found(self, frame):
         return Detections(frame.new_zeros(0, 4), frame.new_zeros(0, 1))
 
 
 class Remembering(Brightest):
-    def scores(self, score: Tensor) -> Tensor:
+    def scores(self, score):
         self.memory[0] = 0.5 * (self.memory[0] + float(score))
         return torch.full_like(score, self.memory[0])
 
 
 class Network:
-    def __init__(self, device: torch.device) -> None:
+    def __init__(self, device):
         self.network = network_detector(NetworkParams(), device)
         self.classes = self.network.classes
 
-    def detect(self, frames: Tensor) -> Sequence[Detections]:
+    def detect(self, frames):
         return self.network.detect(frames)
 
 
 class Blind:
     classes = ("other",)
 
-    def __init__(self, device: torch.device) -> None: ...
+    def __init__(self, device): ...
 
 
 def middle_and_size(self: Brightest, box: Tensor) -> Tensor:
@@ -69,25 +68,25 @@ def only_in_light(self: Brightest, frame: Tensor) -> Detections | None:
     return Brightest.found(self, frame) if frame.max() > 0.3 else None
 
 
-BROKEN: dict[type, list[str]] = {
-    Blind: ["has no method detect"],
-    variant(Brightest, "OfDogs", classes=("dog",)): ["classes = ('dog',)", "pedestrian"],
-    variant(Brightest, "AsShares", boxes=lambda self, box: box / 640): ["seem to be shares of the frame", "here 640 and 360 px"],
-    variant(Brightest, "OfALargerPicture", boxes=lambda self, box: 10 * box + 1000): ["middle is outside of the frame of 640 x 360 px"],
-    variant(Brightest, "MiddleAndSize", boxes=middle_and_size): ["sides down to -", "left, top, right, bottom"],
-    variant(Brightest, "Logits", scores=lambda self, score: score.logit(1e-6)): ["scores from -", "sigmoid"],
-    variant(Brightest, "OneScore", scores=lambda self, score: score[:, 0]): ["scores [1]", "scores [n, classes]"],
-    variant(Brightest, "Relative", scores=lambda self, score: score * torch.nan): ["some of which are not finite"],
-    variant(Brightest, "FirstOnly", detect=lambda self, frames: [self.found(frames[0])]): ["gives 1 for 3 frames"],
-    variant(Brightest, "MeanOfAll", detect=lambda self, frames: [self.found(frames.mean(0))] * len(frames)): [
-        "something else in a frame where others are beside it"
-    ],
-    Remembering: ["another detections[0].scores", "same frames", "keep nothing in self"],
-    variant(Brightest, "Lazy", detect=lambda self, frames: map(self.found, frames)): ["gives a map", "a list with one luxloop.Detections"],
-    variant(Brightest, "InPlace", detect=lambda self, frames: [self.found(each) for each in frames.sqrt_()]): [
-        "changes frames, which was passed to it"
-    ],
-    variant(Brightest, "NoneInTheDark", found=only_in_light): ["'NoneType' object has no attribute 'boxes'"],
+BROKEN = {
+    Blind: "has no method detect",
+    variant(Brightest, "OfDogs", classes=("dog",)): "classes = ('dog',)",
+    variant(Brightest, "AsShares", boxes=lambda self, box: box / 640): "seem to be shares of the frame",
+    variant(Brightest, "OfALargerPicture", boxes=lambda self, box: 10 * box + 1000): "middle is outside of the frame of 640 x 360 px",
+    variant(Brightest, "MiddleAndSize", boxes=middle_and_size): "sides down to -",
+    variant(Brightest, "Logits", scores=lambda self, score: score.logit(1e-6)): "scores from -",
+    variant(Brightest, "OneScore", scores=lambda self, score: score[:, 0]): "scores [1]",
+    variant(Brightest, "Relative", scores=lambda self, score: score * torch.nan): "some of which are not finite",
+    variant(Brightest, "FirstOnly", detect=lambda self, frames: [self.found(frames[0])]): "gives 1 for 3 frames",
+    variant(
+        Brightest, "MeanOfAll", detect=lambda self, frames: [self.found(frames.mean(0))] * len(frames)
+    ): "something else in a frame where others are beside it",
+    Remembering: "another detections[0].scores",
+    variant(Brightest, "Lazy", detect=lambda self, frames: map(self.found, frames)): "gives a map",
+    variant(
+        Brightest, "InPlace", detect=lambda self, frames: [self.found(each) for each in frames.sqrt_()]
+    ): "changes frames, which was passed to it",
+    variant(Brightest, "NoneInTheDark", found=only_in_light): "'NoneType' object has no attribute 'boxes'",
 }
 
 

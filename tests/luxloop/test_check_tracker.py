@@ -3,7 +3,6 @@
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -15,27 +14,27 @@ from tests.luxloop.variants import assert_refused, variant
 
 
 class Good:
-    def __init__(self, classes: Any, view: Any, **keys: Any) -> None:
+    def __init__(self, classes, view, **keys):
         self.classes, self.tracker, self.memory = classes, Tracker(classes, view, TrackerParams(**keys)), [0]
 
-    def start(self) -> Any:
+    def start(self):
         return self.tracker.start()
 
-    def follow(self, state: Any, found: Any, frame: Any, time_s: float) -> Any:
+    def follow(self, state, found, frame, time_s):
         return self.tracker.follow(state, found, frame, time_s)
 
-    def report(self, state: Any, time_s: float) -> Any:
+    def report(self, state, time_s):
         return self.reported(self.tracker.report(state, time_s), time_s)
 
-    def reported(self, boxes: TrackedBoxes, time_s: float) -> Any:
+    def reported(self, boxes, time_s):
         return boxes
 
 
 class ByPlace(Good):
-    def follow(self, state: Any, found: Any, frame: Any, time_s: float) -> Any:
+    def follow(self, state, found, frame, time_s):
         return (found, time_s)
 
-    def report(self, state: Any, time_s: float) -> Any:
+    def report(self, state, time_s):
         if not isinstance(state, tuple):
             return super().report(state, time_s)
         found, now = state
@@ -43,46 +42,44 @@ class ByPlace(Good):
 
 
 class InPlace(Good):
-    def follow(self, state: Any, found: Any, frame: Any, time_s: float) -> Any:
+    def follow(self, state, found, frame, time_s):
         state.mean.add_(1)
         return super().follow(state, found, frame, time_s)
 
 
 class Remembering(Good):
-    def follow(self, state: Any, found: Any, frame: Any, time_s: float) -> Any:
+    def follow(self, state, found, frame, time_s):
         self.memory[0] += 1
         return replace(super().follow(state, found, frame, time_s), following=self.memory[0])
 
 
 class NeedsSome(Good):
-    def follow(self, state: Any, found: Any, frame: Any, time_s: float) -> Any:
+    def follow(self, state, found, frame, time_s):
         found.scores.amax()
         return super().follow(state, found, frame, time_s)
 
 
 class Still:
-    def start(self) -> None: ...
+    def start(self): ...
 
 
-BROKEN: dict[type, list[str]] = {
-    Still: ["has no method follow"],
-    variant(Good, "TakesLess", follow=lambda self, state, found: state): ["called as follow(state, found, frame, time_s)"],
-    variant(Good, "Unsaved", start=lambda self: iter(())): ["a state that cannot be saved"],
-    InPlace: ["follow changes state.mean, which was passed to it"],
-    Remembering: ["follow gives another state.following", "in the state and not in self"],
-    variant(Good, "Single", reported=lambda self, boxes, _: replace(boxes, number=boxes.number.float())): [
-        "gives number as torch.float32; give torch.int64"
-    ],
-    variant(Good, "FromZero", reported=lambda self, boxes, _: replace(boxes, number=boxes.number - 1)): ["number tracks from 1 on"],
-    variant(Good, "Timeless", reported=lambda self, boxes, _: replace(boxes, until_s=boxes.until_s * torch.nan)): ["gives NaN as a time"],
-    variant(Good, "NotANumber", reported=lambda self, boxes, _: replace(boxes, confidence=boxes.score * torch.nan)): [
-        "boxes or confidence that are not finite"
-    ],
-    NeedsSome: ["in a frame without detections: ", "follow fails"],
-    ByPlace: ["gives the pedestrian the number 1, which was that of the car", "whatever the order of detections"],
-    variant(Good, "Anew", reported=lambda self, boxes, time_s: replace(boxes, number=boxes.number + round(10 * time_s))): [
-        "gives the car the number 4, which was 3 before"
-    ],
+BROKEN = {
+    Still: "has no method follow",
+    InPlace: "follow changes state.mean, which was passed to it",
+    Remembering: "follow gives another state.following",
+    variant(
+        Good, "Single", reported=lambda self, boxes, _: replace(boxes, number=boxes.number.float())
+    ): "gives number as torch.float32; give torch.int64",
+    variant(Good, "FromZero", reported=lambda self, boxes, _: replace(boxes, number=boxes.number - 1)): "number tracks from 1 on",
+    variant(Good, "Timeless", reported=lambda self, boxes, _: replace(boxes, until_s=boxes.until_s * torch.nan)): "gives NaN as a time",
+    variant(
+        Good, "NotANumber", reported=lambda self, boxes, _: replace(boxes, confidence=boxes.score * torch.nan)
+    ): "boxes or confidence that are not finite",
+    NeedsSome: "in a frame without detections: ",
+    ByPlace: "gives the pedestrian the number 1, which was that of the car",
+    variant(
+        Good, "Anew", reported=lambda self, boxes, time_s: replace(boxes, number=boxes.number + round(10 * time_s))
+    ): "gives the car the number 4, which was 3 before",
 }
 
 
