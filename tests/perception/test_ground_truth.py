@@ -1,29 +1,22 @@
 """Boxes, shares and parts against what can be counted: each object rendered alone, and corners projected one by one."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
 
 from luxloop.perception.ground_truth import GroundTruth, ground_truth, part_mask
-from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
-from luxloop.world.rendering.raycast import RayCaster
 from luxloop.world.scene.body import Body
-from luxloop.world.scene.scene import Scene
-from luxloop.world.scene.triangles import Triangles
 from luxloop.world.traffic.car import CarParams
 from luxloop.world.traffic.objects import BoxParams
 from luxloop.world.traffic.people import PedestrianParams
 from luxloop.world.traffic.tracked import EYES
-from tests.world.grids import camera, flat
+from tests.world.grids import camera, flat, see
 
 VIEW = camera(480, 270)
 ROAD = Body("road", flat(), smooth=True)
-
-
-def seen(*bodies: Body) -> tuple[GBuffer, Triangles]:
-    triangles = Scene((ROAD, *bodies)).at(0.0)
-    return gbuffer(triangles, VIEW, RayCaster().face_ids(triangles, VIEW)), triangles
+seen = partial(see, ROAD, view=VIEW)
 
 
 def truth(*bodies: Body) -> tuple[GroundTruth, ...]:

@@ -7,6 +7,11 @@ import torch
 import trimesh
 
 from luxloop.world.frames import R_ISO_OPENCV, View, pose, pose_from_degrees
+from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
+from luxloop.world.rendering.raycast import RayCaster
+from luxloop.world.scene.body import Body
+from luxloop.world.scene.scene import Scene
+from luxloop.world.scene.triangles import Triangles
 
 
 def grid(z: Callable[[np.ndarray, np.ndarray], np.ndarray], x: np.ndarray, y: np.ndarray) -> trimesh.Trimesh:
@@ -39,3 +44,9 @@ def lamp(width: int = 1024, height: int = 512) -> View:
     fx, fy = width / (2 * left), height / (top - bottom)
     eye = pose_from_degrees((0, 0.6, 0.75)) @ pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
     return View(width, height, fx, fy, fx * left, fy * top, eye)
+
+
+def see(*bodies: Body, view: View | None = None) -> tuple[GBuffer, Triangles]:
+    """What a camera, by default the one above, sees of bodies."""
+    triangles, view = Scene(bodies).at(0.0), view or camera()
+    return gbuffer(triangles, view, RayCaster().face_ids(triangles, view)), triangles

@@ -22,14 +22,6 @@ def test_rotation_is_yaw_after_pitch_after_roll(roll: float, pitch: float, yaw: 
     np.testing.assert_allclose(R, Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix(), atol=1e-14)
 
 
-def test_signs_of_iso_8855(device: torch.device) -> None:
-    forward, left = torch.eye(3, device=device)[:2]
-    small, zero = torch.tensor(0.1, device=device), torch.tensor(0.0, device=device)
-    assert (rotation(zero, small, zero) @ forward)[2] < 0, "positive pitch lowers the nose"
-    assert (rotation(small, zero, zero) @ left)[2] > 0, "positive roll lowers the right side"
-    assert (rotation(zero, zero, small) @ forward)[1] > 0, "positive yaw turns to the left"
-
-
 @settings(deadline=None)
 @given(st.tuples(metre, metre, metre), st.tuples(angle, angle, angle))
 def test_inverse_undoes_a_pose(position: tuple[float, float, float], angles: tuple[float, float, float]) -> None:

@@ -4,7 +4,7 @@ import io
 import json
 import zipfile
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, Module
 from luxloop.world.lamps.archive import load, save
 from luxloop.world.spmv import Csr
-from tests.refusal import refusal
+from tests.refusal import refusal, sentence
 
 
 def headlight(dtype: torch.dtype, coloured: bool) -> Headlight:
@@ -43,21 +43,14 @@ def lamp() -> Lamp:
     return Lamp("two modules", modules, beams, "Measured on a bench.\nOne pixel is guessed.")
 
 
-def assert_equal(a: Lamp, b: Lamp) -> None:
-    """Bit for bit, dtypes included."""
-    assert (a.name, a.notes, list(a.beams), len(a.modules)) == (b.name, b.notes, list(b.beams), len(b.modules))
-    for one, two in zip(a.modules, b.modules, strict=True):
-        assert (one.name, one.swivel_deg, one.level_deg) == (two.name, two.swivel_deg, two.level_deg)
-        light, other = vars(one.headlight).copy(), vars(two.headlight).copy()
-        pairs = [(one.T_lamp_module, two.T_lamp_module), (light.pop("chroma"), other.pop("chroma"))]
-        matrix, other_matrix = light.pop("matrix"), other.pop("matrix")
-        assert light == other
-        assert matrix.n_cols == other_matrix.n_cols
-        pairs += [(getattr(matrix, name), getattr(other_matrix, name)) for name in ("indptr", "indices", "values")]
-        for x, y in pairs:
-            assert (x is None and y is None) or (x.dtype == y.dtype and torch.equal(x, y))
-    for name, us in a.beams.items():
-        assert all(x.dtype == y.dtype and torch.equal(x, y) for x, y in zip(us, b.beams[name], strict=True))
+def data(lamp: Lamp) -> tuple[Any, ...]:
+    """All of a lamp, bit for bit, dtypes included."""
+
+    def plain(fields: list[tuple[str, Any]]) -> dict[str, Any]:
+        return {name: (value.dtype, value.tolist()) if isinstance(value, torch.Tensor) else value for name, value in fields}
+
+    beams = {name: [(u.dtype, u.tolist()) for u in us] for name, us in lamp.beams.items()}
+    return lamp.name, lamp.notes, beams, [asdict(module, dict_factory=plain) for module in lamp.modules]
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +64,7 @@ def test_round_trip_is_exact(lamp: Lamp, tmp_path: Path) -> None:
     light = lamp.modules[0].headlight
     save(tmp_path / "lamp.npz", lamp)
     loaded = load(tmp_path / "lamp.npz")
-    assert_equal(lamp, loaded)
+    assert data(lamp) == data(loaded)
     assert torch.equal(loaded.modules[0].headlight.light_texture(torch.ones(6)), light.light_texture(torch.ones(6)))
     assert [path.name for path in tmp_path.iterdir()] == ["lamp.npz"]
 
@@ -84,16 +77,16 @@ def test_numpy_alone_reads_it(content: bytes) -> None:
 
 
 @settings(deadline=None, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data())
-def test_damage_is_noticed(lamp: Lamp, content: bytes, tmp_path: Path, data: st.DataObject) -> None:
+@given(drawn=st.data())
+def test_damage_is_noticed(lamp: Lamp, content: bytes, tmp_path: Path, drawn: st.DataObject) -> None:
     """A broken copy is refused, or (a flipped bit of a date, say) gives the same lamp."""
     path = tmp_path / "broken.npz"
-    if data.draw(st.booleans()):
-        broken = content[: data.draw(st.integers(0, len(content) - 1))]
+    if drawn.draw(st.booleans()):
+        broken = content[: drawn.draw(st.integers(0, len(content) - 1))]
     else:
         changed = bytearray(content)
-        for at in data.draw(st.lists(st.integers(0, len(content) - 1), min_size=1, max_size=3)):
-            changed[at] ^= data.draw(st.integers(1, 255))
+        for at in drawn.draw(st.lists(st.integers(0, len(content) - 1), min_size=1, max_size=3)):
+            changed[at] ^= drawn.draw(st.integers(1, 255))
         broken = bytes(changed)
     path.write_bytes(broken)
     try:
@@ -101,7 +94,7 @@ def test_damage_is_noticed(lamp: Lamp, content: bytes, tmp_path: Path, data: st.
     except LuxloopError as error:
         assert "broken.npz" in str(error)
     else:
-        assert_equal(lamp, loaded)
+        assert data(lamp) == data(loaded)
 
 
 def rewritten(content: bytes, change: Callable[[dict[str, Any]], None]) -> bytes:
@@ -134,14 +127,13 @@ def rewritten(content: bytes, change: Callable[[dict[str, Any]], None]) -> bytes
         (lambda a: a["header"].update(beams=["town", "town"]), "beam 'town' occurs twice"),
         (lambda a: a["header"].update(beams=["low beam", "full"]), "beam 'full' occurs twice (every lamp has it)"),
         (lambda a: a.pop("module0_values"), "module0_values"),
+        (lambda a: a["header"]["modules"][0].update(rows=10**9, cols=10**9), "module 'matrix' would take"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(content: bytes, tmp_path: Path, change: Callable[[dict], None], words: str) -> None:
     (tmp_path / "odd.npz").write_bytes(rewritten(content, change))
-    with pytest.raises(LuxloopError) as error:
+    with sentence(words, "odd.npz"):
         load(tmp_path / "odd.npz")
-    assert words in str(error.value)
-    assert "odd.npz" in str(error.value)
 
 
 def test_foreign_files_are_refused(tmp_path: Path) -> None:
@@ -157,9 +149,8 @@ def test_foreign_files_are_refused(tmp_path: Path) -> None:
         "zip": "no lamp file",
         "gone": "cannot",
     }.items():
-        with pytest.raises(LuxloopError) as error:
+        with sentence(words):
             load(tmp_path / f"{name}.npz")
-        assert words in str(error.value), name
 
 
 def test_writing_names_what_is_wrong_and_leaves_nothing_behind(lamp: Lamp, tmp_path: Path) -> None:
@@ -170,18 +161,3 @@ def test_writing_names_what_is_wrong_and_leaves_nothing_behind(lamp: Lamp, tmp_p
     with refusal("beam 'off' occurs twice"):
         save(tmp_path / "lamp.npz", replace(lamp, beams={"off": lamp.beams["town"]}))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_module_beyond_the_budget_names_its_file(lamp: Lamp, tmp_path: Path) -> None:
-    save(tmp_path / "a.npz", lamp)
-    with zipfile.ZipFile(tmp_path / "a.npz") as archive:
-        entries = {name: archive.read(name) for name in archive.namelist()}
-    header = json.loads(np.load(io.BytesIO(entries["header.npy"])).tobytes())
-    header["modules"][0] |= {"rows": 10**9, "cols": 10**9}
-    with zipfile.ZipFile(tmp_path / "b.npz", "w") as archive:
-        for name, data in entries.items():
-            buffer = io.BytesIO()
-            np.save(buffer, np.frombuffer(json.dumps(header).encode(), np.uint8))
-            archive.writestr(name, buffer.getvalue() if name == "header.npy" else data)
-    with refusal(r"b\.npz: module 'matrix' would take"):
-        load(tmp_path / "b.npz")

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from luxloop.world.errors import LuxloopError
 from luxloop.world.lamps.modules import ModuleParams, build_module
 from luxloop.world.lamps.utilisations import read_utilisation
 from luxloop.world.photometry import Distribution, write
+from tests.refusal import sentence
 
 RECTANGLES = {
     **{"kind": "blurred_rectangles", "rows": 2, "columns": 4, "left_deg": 8, "right_deg": -8, "bottom_deg": -3, "top_deg": 3},
@@ -25,25 +25,18 @@ OVERLAPPING = {
 }
 
 
-def refusal(folder: Path, **module: Any) -> str:
-    with pytest.raises(LuxloopError) as error:
-        build_module(ModuleParams.model_validate({"name": "m", **module}), folder, lambda *_: [])
-    return str(error.value)
-
-
-def test_a_bound_above_all_light_is_refused(tmp_path: Path) -> None:
-    assert "bound_cd = 1e+06 leaves no light" in refusal(tmp_path, source=RECTANGLES, overlap={"bound_cd": 1e6})
-
-
-def test_a_model_beyond_all_memory_is_refused(tmp_path: Path) -> None:
-    assert "coarser texture" in refusal(tmp_path, source=OVERLAPPING, texture={"rows": 4096, "columns": 4096})
-
-
 @pytest.mark.parametrize(
-    ("texture", "words"), [({"rows": 1}, "texture.rows = 1: cannot show 2 rows"), ({"columns": 3}, "at least 4, better 16")]
+    ("source", "more", "words"),
+    [
+        (RECTANGLES, {"overlap": {"bound_cd": 1e6}}, "bound_cd = 1e+06 leaves no light"),
+        (OVERLAPPING, {"texture": {"rows": 4096, "columns": 4096}}, "coarser texture"),
+        (RECTANGLES, {"texture": {"rows": 1}}, "texture.rows = 1: cannot show 2 rows"),
+        (RECTANGLES, {"texture": {"columns": 3}}, "at least 4, better 16"),
+    ],
 )
-def test_fewer_texels_than_pixels_are_refused(tmp_path: Path, texture: dict[str, Any], words: str) -> None:
-    assert words in refusal(tmp_path, source=RECTANGLES, texture=texture)
+def test_what_cannot_be_a_module_is_refused(tmp_path: Path, source: dict[str, Any], more: dict[str, Any], words: str) -> None:
+    with sentence(words):
+        build_module(ModuleParams.model_validate({"name": "m", "source": source, **more}), tmp_path, lambda *_: [])
 
 
 def build_source(folder: Path, **source: Any) -> None:
@@ -109,10 +102,8 @@ def npz(array: np.ndarray) -> bytes:
 )
 def test_what_is_no_utilisation_is_named(tmp_path: Path, name: str, content: bytes, words: str) -> None:
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(LuxloopError) as error:
+    with sentence(words, name):
         read_utilisation(tmp_path / name, 2, 4)
-    assert words in str(error.value)
-    assert name in str(error.value)
 
 
 @pytest.mark.parametrize("text", ["0,0.5\n1,0\n", "0;0,5\n1;0\n", "\ufeff0;0,5\n\n1;0\n"])

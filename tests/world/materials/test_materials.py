@@ -11,12 +11,10 @@ from luxloop.world.lamps.presets import idealised
 from luxloop.world.light.illumination import lit_surface, luminance
 from luxloop.world.materials.brdf import luminance_factor
 from luxloop.world.materials.library import MATERIALS, WET, RoadSurfaceParams, SpotParams, SpottedTexture
-from luxloop.world.rendering.gbuffer import GBuffer, flat_road, gbuffer
-from luxloop.world.rendering.raycast import RayCaster
+from luxloop.world.rendering.gbuffer import GBuffer, flat_road
 from luxloop.world.scene.body import Body
-from luxloop.world.scene.scene import Scene
 from luxloop.world.traffic.objects import BoxParams
-from tests.world.grids import camera, flat
+from tests.world.grids import camera, flat, see
 
 LAMP = idealised(20, 32, intensity_cd=30_000.0)
 T_LEFT = pose_from_degrees((0.0, 0.6, 0.75))
@@ -33,9 +31,8 @@ def road(**keys) -> Body:
     return Body("road", flat(), surface.albedo, surface.texture(), smooth=True)
 
 
-def see(*bodies: Body) -> GBuffer:
-    triangles, view = Scene(bodies).at(0.0), camera()
-    return gbuffer(triangles, view, RayCaster().face_ids(triangles, view))
+def seen_of(*bodies: Body) -> GBuffer:
+    return see(*bodies)[0]
 
 
 def shown(seen: GBuffer) -> Tensor:
@@ -47,14 +44,14 @@ def shown(seen: GBuffer) -> Tensor:
 
 
 def test_a_lambertian_scene_carries_no_finish() -> None:
-    seen = see(road(markings=True), board())
+    seen = seen_of(road(markings=True), board())
     assert seen.finish is None
     lit = lit_surface(seen, LAMP, T_LEFT)
     assert torch.equal(lit.luminance_factor, seen.albedo.flatten()[lit.index])
 
 
 def test_a_sign_shines_back_as_its_brdf_says_and_nothing_else_changes() -> None:
-    plain, sign = see(road(), board()), see(road(), board(material="retroreflective_sign"))
+    plain, sign = seen_of(road(), board()), seen_of(road(), board(material="retroreflective_sign"))
     was, now = shown(plain), shown(sign)
     board_pixels = plain.object_id == 1
     assert torch.equal(was[~board_pixels], now[~board_pixels])
@@ -74,13 +71,13 @@ def test_water_darkens_the_road_and_drowns_the_beads() -> None:
     torch.testing.assert_close(wet.albedo, WET.darken(dry.albedo))
     assert [material.retro > 0 for material in dry.materials] == [False, True]
     assert [material.retro > 0 for material in wet.materials] == [False, False]
-    own = shown(see(road(wet=1.0))) / shown(see(road()))
+    own = shown(seen_of(road(wet=1.0))) / shown(seen_of(road()))
     assert own.nanmean() < 0.6
 
 
 def test_the_assumed_road_is_as_wet_as_the_real_one() -> None:
     surface = RoadSurfaceParams(wet=0.7, grain=0.0)
-    assumed, real = flat_road(camera(), surface.seen_albedo, material=surface.ground), see(road(wet=0.7, grain=0.0))
+    assumed, real = flat_road(camera(), surface.seen_albedo, material=surface.ground), seen_of(road(wet=0.7, grain=0.0))
     both = (assumed.object_id == 0) & (real.object_id == 0) & (assumed.position[0] < 60)
     # positions in float32 from two computations
     torch.testing.assert_close(shown(assumed)[both], shown(real)[both], rtol=1e-3, atol=1e-5)

@@ -9,8 +9,7 @@ import trimesh
 from pydantic import TypeAdapter, ValidationError
 
 from luxloop.world.light.emitters import ambient_luminance
-from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
-from luxloop.world.rendering.raycast import RayCaster
+from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.scene.body import SHAPES, Body, Figure
 from luxloop.world.scene.scene import Scene
 from luxloop.world.traffic.car import LOW_BEAM_CD, CarParams
@@ -20,7 +19,7 @@ from luxloop.world.traffic.people import SHANK, STRIDE, THIGH, PedestrianParams,
 from luxloop.world.traffic.shapes import Piece, blob, block, ellipsoid, limb, tube
 from luxloop.world.traffic.tracked import WayParams
 from tests.refusal import refusal
-from tests.world.grids import camera
+from tests.world.grids import see
 
 HERE = ({"position_m": (0.0, 0.0, 0.0)},)
 KINDS = ["pedestrian", "cyclist", "car", "animal", "traffic_sign", "clutter"]
@@ -30,11 +29,6 @@ def made(kind: str, seed: int = 0, **keys: object) -> Body:
     body = TypeAdapter(ObjectParams).validate_python({"kind": kind, "name": "it", "seed": seed, "track": HERE, **keys}).build()
     assert isinstance(body, Body)
     return body
-
-
-def before(body: Body) -> GBuffer:
-    scene = Scene((body,))
-    return gbuffer(scene.at(0.0), camera(), RayCaster().face_ids(scene.at(0.0), camera()))
 
 
 def volume(piece: Piece) -> float:
@@ -108,7 +102,7 @@ def test_an_unknown_part_is_told_with_the_nearest():
 def test_parts_are_seen_as_they_are_given():
     body = made("pedestrian", 2, stance="standing", parts={"jacket": {"albedo": 0.77}, "head": {"material": "metal"}})
     moved = Scene((body,)).at(0.0).placed[0]
-    seen = before(_at(body, 9.0))
+    seen, _ = see(_at(body, 9.0))
     assert seen.part is not None and seen.finish is not None
     names = [part.name for part in moved.body.parts]
     jacket, head = (seen.part == names.index(name) for name in ("jacket", "head"))
@@ -130,9 +124,9 @@ def test_lamps_of_a_car_shine_and_light_what_is_before_them():
     params = {"name": "car", "style": "saloon", "track": ({"position_m": (20.0, 0.0, 0.0), "yaw_deg": 180},)}
     lit, parked = CarParams(**params).build(), CarParams(**params, lit=False).build()
     scene = Scene((lit,))
-    seen = before(lit)
+    seen, _ = see(lit)
     assert float(ambient_luminance(seen, 0.0).max()) == pytest.approx(3e4)
-    assert not ambient_luminance(before(parked), 0.0).any() and not parked.spotlights
+    assert not ambient_luminance(see(parked)[0], 0.0).any() and not parked.spotlights
     # a white plate square to the axis of a headlamp, 5 m before it
     lamp = scene.spotlights_at(0.0)[0]
     point = (lamp.position + 5 * lamp.axis).float()
