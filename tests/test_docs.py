@@ -7,7 +7,7 @@ import shlex
 import subprocess
 import sys
 import tomllib
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import is_dataclass
 from importlib import import_module
 from pathlib import Path
@@ -194,23 +194,21 @@ def test_parts_of_ones_own_run(code: str, module: str, tables: str, tmp_path: Pa
     assert metrics is None or metrics.iou > 0.7, "each of them brings the symbol to its place, or leaves it there"
 
 
-def test_lamp_snippets_are_valid() -> None:
+HELD = {"symbol": {"kind": "symbol", "image": "snowflake", "controller": "thesis_pid"}}  # of which checks may speak
+
+
+@pytest.mark.parametrize(
+    ("language", "check"),
+    [
+        ("toml lamp", description.validate),
+        ("toml rig", lambda table, page: validate_model(RigParams, table, page)),
+        ("toml", lambda table, page: validate({"name": "snippet", "functions": HELD, **table}, page)),
+    ],
+)
+def test_snippets_are_valid(language: str, check: Callable[[dict[str, Any], str], object]) -> None:
     for page in PAGES:
-        for block in blocks(page, "toml lamp"):
-            description.validate(tomllib.loads(block), str(page))
-
-
-def test_rig_snippets_are_valid() -> None:
-    for page in PAGES:
-        for block in blocks(page, "toml rig"):
-            validate_model(RigParams, tomllib.loads(block), str(page))
-
-
-def test_scenario_snippets_are_valid() -> None:
-    held = {"symbol": {"kind": "symbol", "image": "snowflake", "controller": "thesis_pid"}}  # of which checks may speak
-    for page in PAGES:
-        for block in blocks(page, "toml"):
-            validate({"name": "snippet", "functions": held, **tomllib.loads(block)}, str(page))
+        for block in blocks(page, language):
+            check(tomllib.loads(block), str(page))
 
 
 def test_links_lead_somewhere() -> None:
@@ -222,14 +220,10 @@ def test_links_lead_somewhere() -> None:
                 assert anchor in headings(file), f"{page.name}: {target}#{anchor} does not exist"
 
 
-def test_the_index_leads_to_every_page() -> None:
-    named = set(re.findall(r"\]\(([a-z_/]+\.md)", (ROOT / "docs" / "index.md").read_text("utf-8")))
-    assert named | {"index.md"} == {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
-
-
-def test_the_site_shows_every_page() -> None:
-    shown = set(re.findall(r'"([\w/]+\.md)"', (ROOT / "zensical.toml").read_text("utf-8")))
-    assert shown >= {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
+def test_the_index_leads_to_every_page_and_the_site_shows_it() -> None:
+    pages = {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
+    assert {*re.findall(r"\]\(([a-z_/]+\.md)", (ROOT / "docs" / "index.md").read_text("utf-8")), "index.md"} == pages
+    assert {*re.findall(r'"([\w/]+\.md)"', (ROOT / "zensical.toml").read_text("utf-8"))} >= pages
 
 
 def headings(page: Path) -> list[str]:

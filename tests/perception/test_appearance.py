@@ -4,9 +4,10 @@ import math
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
+from torch.testing import assert_close
 
 from luxloop.perception.appearance import DEGREES, Axes, appearance, errors, features, image_axes
 from luxloop.world.frames import pose_from_degrees
@@ -39,7 +40,7 @@ def test_a_rectangle_of_whole_pixels_is_exact(u: tuple[int, int], v: tuple[int, 
     width, height = u[1] - u[0], v[1] - v[0]
     centre_u, centre_v = sum(u) / 2, sum(v) / 2
     quadrants = [[centre_u + i * width / 4, centre_v + j * height / 4] for j in (-1, 1) for i in (-1, 1)]
-    torch.testing.assert_close(seen.centroids, torch.tensor([[centre_u, centre_v], *quadrants], dtype=torch.float64))
+    assert_close(seen.centroids, torch.tensor([[centre_u, centre_v], *quadrants], dtype=torch.float64))
     assert seen.area.item() == pytest.approx(width * height)
     # Pixels are points for second moments: (n^2 - 1) / 12.
     if width > 1:
@@ -60,7 +61,7 @@ def test_a_sheared_ellipse(shear: float) -> None:
         quarter_u, quarter_v = 4 * a / (3 * math.pi), 4 * b / (3 * math.pi)
         expected = [[u + i * quarter_u, v + j * quarter_v] for j in (-1, 1) for i in (-1, 1)]
         # The pixels on the split are cut as if they were uniform; at the outline they are not.
-        torch.testing.assert_close(seen.centroids[1:], torch.tensor(expected, dtype=torch.float64), rtol=0, atol=0.02)
+        assert_close(seen.centroids[1:], torch.tensor(expected, dtype=torch.float64), rtol=0, atol=0.02)
 
 
 def random_symbol() -> Tensor:
@@ -70,17 +71,16 @@ def random_symbol() -> Tensor:
     return image
 
 
-@settings(deadline=None)
 @given(st.integers(-20, 20), st.integers(-25, 25))
 def test_whole_pixels_shift_everything_alike(rows: int, cols: int) -> None:
     image = random_symbol()
     still, moved = appearance(image, AXES), appearance(image.roll((rows, cols), (0, 1)), AXES)
     shift = torch.tensor([cols, rows], dtype=torch.float64)
-    torch.testing.assert_close(moved.centroids, still.centroids + shift, rtol=0, atol=1e-10)
+    assert_close(moved.centroids, still.centroids + shift, rtol=0, atol=1e-10)
     for name in ("area", "shear", "length"):
-        torch.testing.assert_close(getattr(moved, name), getattr(still, name), rtol=0, atol=1e-10)
+        assert_close(getattr(moved, name), getattr(still, name), rtol=0, atol=1e-10)
     off = errors(features(moved, "quadrants"), features(still, "quadrants"))
-    torch.testing.assert_close(off, torch.tensor([cols, rows, 0.0, 0], dtype=torch.float64), rtol=0, atol=1e-10)
+    assert_close(off, torch.tensor([cols, rows, 0.0, 0], dtype=torch.float64), rtol=0, atol=1e-10)
 
 
 def test_nothing_jumps_while_a_symbol_moves_by_fractions_of_a_pixel() -> None:
@@ -111,8 +111,8 @@ def test_batches_are_loops_of_singles_and_float32_is_good_to_a_thousandth_of_a_p
     assert (batch.centroids.dtype, batch.centroids.device.type) == (torch.float32, device.type)
     for k, image in enumerate(images):
         single = appearance(image, AXES)
-        torch.testing.assert_close(batch.centroids[k // 2, k % 2].cpu().double(), single.centroids, rtol=0, atol=1e-3)
-        torch.testing.assert_close(batch.length[k // 2, k % 2].cpu().double(), single.length, rtol=0, atol=1e-3)
+        assert_close(batch.centroids[k // 2, k % 2].cpu().double(), single.centroids, rtol=0, atol=1e-3)
+        assert_close(batch.length[k // 2, k % 2].cpu().double(), single.length, rtol=0, atol=1e-3)
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(0, 0), (H, 0), (1, W), (H, 1)])

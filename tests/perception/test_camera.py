@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from pydantic import ValidationError
+from torch.testing import assert_close
 
 from luxloop.perception.camera import CameraParams, camera_view, expose, luminance_of, noise_std
 from luxloop.perception.noise import FrameNoise
@@ -22,7 +23,7 @@ def test_law_of_the_docstring(gamma: float, device: torch.device) -> None:
     electrons = torch.tensor([[0.0, 1.0, 250.0], [999.0, 1000.0, 5000.0]], dtype=torch.float64, device=device)
     dn = expose(electrons * PER_ELECTRON, params)
     expected = torch.round(255 * (electrons.clamp(max=1000) / 1000) ** (1 / gamma))
-    torch.testing.assert_close(dn, expected)
+    assert_close(dn, expected)
     assert dn[0, 0] == 0
     assert dn[1, 1] == dn[1, 2] == 255
 
@@ -32,7 +33,7 @@ def test_law_of_the_docstring(gamma: float, device: torch.device) -> None:
 def test_every_level_survives_the_round_trip(bits: int, gamma: float, device: torch.device) -> None:
     params = CameraParams(bits=bits, gamma=gamma)
     dn = torch.arange(2**bits, dtype=torch.float32, device=device)[None]
-    torch.testing.assert_close(expose(luminance_of(dn, params), params), dn, rtol=0, atol=0)
+    assert_close(expose(luminance_of(dn, params), params), dn, rtol=0, atol=0)
 
 
 @pytest.mark.parametrize(("bits", "gamma"), [(8, 1.0), (8, 2.2), (12, 1.0), (12, 2.2)])
@@ -104,7 +105,7 @@ def test_horizontal_field_of_view_is_exact() -> None:
     assert view.fx == view.fy == pytest.approx(2388.5, abs=0.1)  # 640 / tan(15 deg)
     edge = torch.tensor([[1.0], [math.tan(math.radians(15))], [0.0]], dtype=torch.float64)  # 15 deg to the left
     uv, depth = view.project(edge)
-    torch.testing.assert_close(uv[:, 0], torch.tensor([0.0, 360.0], dtype=torch.float64), atol=1e-9, rtol=0)
+    assert_close(uv[:, 0], torch.tensor([0.0, 360.0], dtype=torch.float64), atol=1e-9, rtol=0)
     assert depth.item() == pytest.approx(1.0)
 
 
@@ -125,7 +126,7 @@ def test_vehicle_axes_become_image_axes() -> None:
     T_mount_view = inverse(pose_from_degrees((params.x_m, params.y_m, params.z_m), 10, 5, 20)) @ camera_view(params).T_world_view
     axes = transform(T_mount_view, torch.eye(3, dtype=torch.float64))
     expected = torch.tensor([[0, -1, 0], [0, 0, -1], [1, 0, 0]], dtype=torch.float64).T  # right, down, forward in x, y, z of the mount
-    torch.testing.assert_close(axes, expected, atol=1e-12, rtol=0)
+    assert_close(axes, expected, atol=1e-12, rtol=0)
 
 
 @pytest.mark.parametrize(

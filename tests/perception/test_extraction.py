@@ -5,11 +5,12 @@ import math
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import maximum_filter
 from torch import Tensor
 from torch.nn.functional import avg_pool1d
+from torch.testing import assert_close
 
 from luxloop.perception.appearance import appearance, image_axes
 from luxloop.perception.camera import CameraParams, expose, luminance_of
@@ -65,7 +66,7 @@ def test_differences_are_signed(device: torch.device) -> None:
     on, off = torch.full((2, 2), 10.0, device=device), torch.full((2, 2), 12.0, device=device)
     assert (difference(on, off, camera) == -difference(off, on, camera)).all()
     assert (difference(on, off, camera) < 0).all()
-    torch.testing.assert_close(difference(off, on, camera), luminance_of(off, camera) - luminance_of(on, camera))
+    assert_close(difference(off, on, camera), luminance_of(off, camera) - luminance_of(on, camera))
     assert not extracted(torch.zeros(2, 2, device=device), 4095 * torch.ones(2, 2, device=device), camera).any(), "shadows are no symbol"
 
 
@@ -78,8 +79,8 @@ def test_threshold_is_absolute_and_grows_with_the_light_that_is_there() -> None:
     per_electron = 1 / (camera.exposure_s * camera.sensitivity_e_per_cd_s_m2)
     level = camera.saturation_e / 4095
     expected = 5 * math.sqrt(2) * (electrons + camera.read_noise_e**2 + level**2 / 12).sqrt() * per_electron
-    torch.testing.assert_close(limit, expected, rtol=1e-3, atol=0)  # off is quantised
-    torch.testing.assert_close(threshold(off, camera, ExtractionParams(threshold_sigma=7))[0], limit / 5 * 7)
+    assert_close(limit, expected, rtol=1e-3, atol=0)  # off is quantised
+    assert_close(threshold(off, camera, ExtractionParams(threshold_sigma=7))[0], limit / 5 * 7)
 
 
 @pytest.mark.parametrize("shape", [(2, 3, 20, 30), (9, 40), (1, 1), (2, 50), (50, 2)])
@@ -89,7 +90,7 @@ def test_the_brightest_is_looked_for_three_rows_high_and_seven_columns_wide(shap
     brightest = maximum_filter(contrast.cpu().numpy(), (*[1] * (len(shape) - 2), 3, 7), mode="constant", cval=-np.inf)
     wholly = torch.maximum(0.6 * torch.from_numpy(brightest).to(device), 1.5 * limit)
     expected = ((contrast - limit) / (wholly - limit)).clamp(0, 1)
-    torch.testing.assert_close(symbol_image(contrast, limit, GREY), expected)
+    assert_close(symbol_image(contrast, limit, GREY), expected)
     assert torch.equal(symbol_image(contrast, limit, BINARY), (contrast > limit).to(contrast))
 
 
@@ -121,7 +122,6 @@ def test_centres_follow_a_rectangle_by_parts_of_a_pixel(direction: tuple[float, 
     assert worst["binary"] > 0.2, "an edge that crosses the threshold moves the centre by half a pixel at once"
 
 
-@settings(deadline=None)
 @given(st.floats(-10, 10), st.floats(0.01, 2))
 def test_the_soft_form_is_the_hard_one_a_few_sigma_away(sigmas: float, sigma: float) -> None:
     limit = torch.tensor(5 * sigma)

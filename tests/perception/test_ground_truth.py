@@ -1,13 +1,15 @@
 """Boxes, shares and parts against what can be counted: each object rendered alone, and corners projected one by one."""
 
 from dataclasses import replace
-from functools import partial
 
 import pytest
 import torch
 
 from luxloop.perception.ground_truth import GroundTruth, ground_truth, part_mask
+from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.scene.body import Body
+from luxloop.world.scene.scene import Scene
+from luxloop.world.scene.triangles import Triangles
 from luxloop.world.traffic.car import CarParams
 from luxloop.world.traffic.objects import BoxParams
 from luxloop.world.traffic.people import PedestrianParams
@@ -16,7 +18,10 @@ from tests.world.grids import camera, flat, see
 
 VIEW = camera(480, 270)
 ROAD = Body("road", flat(), smooth=True)
-seen = partial(see, ROAD, view=VIEW)
+
+
+def seen(*bodies: Body) -> tuple[GBuffer, Triangles]:
+    return see(ROAD, *bodies, view=VIEW), Scene((ROAD, *bodies)).at(0.0)
 
 
 def truth(*bodies: Body) -> tuple[GroundTruth, ...]:

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import torch
 from scipy.ndimage import gaussian_filter
+from torch.testing import assert_close
 
 from luxloop.perception.metrics import dssim, iou, mae, mare, rmse, ssim
-from luxloop.world.errors import LuxloopError
+from tests.refusal import refusal
 
 
 def scipy_ssim(a: np.ndarray, b: np.ndarray, radius: float, data_range: float) -> float:
@@ -40,7 +41,7 @@ def test_ssim_gradient() -> None:
 
 @pytest.mark.parametrize(("radius", "data_range"), [(0.0, 1.0), (1.0, 0.0)])
 def test_ssim_refuses_empty_windows_and_ranges(radius: float, data_range: float) -> None:
-    with pytest.raises(LuxloopError, match="positive radius and data_range"):
+    with refusal("positive radius and data_range"):
         ssim(torch.zeros(3, 3), torch.zeros(3, 3), radius, data_range)
 
 
@@ -50,20 +51,20 @@ def test_iou(device: torch.device) -> None:
     a[0, :, :4], b[0, :, 2:6] = True, True  # 20 of 60
     a[1, :5] = b[1, :5] = True
     a[2, 0], b[2, 1] = True, True
-    torch.testing.assert_close(iou(a, b).cpu(), torch.tensor([1 / 3, 1.0, 0.0, 1.0]))
+    assert_close(iou(a, b).cpu(), torch.tensor([1 / 3, 1.0, 0.0, 1.0]))
 
 
 def test_errors_by_hand(device: torch.device) -> None:
     wanted = torch.tensor([[0.0, 2.0], [4.0, 0.0]], device=device)
     actual = torch.tensor([[[1.0, 2.0], [2.0, 0.0]], [[0.0, 2.0], [4.0, 0.0]]], device=device)
-    torch.testing.assert_close(mae(actual, wanted).cpu(), torch.tensor([3 / (2 * 4), 0.0]))
-    torch.testing.assert_close(rmse(actual, wanted).cpu(), torch.tensor([math.sqrt(5 / 2) / 4, 0.0]))
-    torch.testing.assert_close(mare(actual, wanted).cpu(), torch.tensor([(1e12 + 0.5) / 2, 0.0]))
+    assert_close(mae(actual, wanted).cpu(), torch.tensor([3 / (2 * 4), 0.0]))
+    assert_close(rmse(actual, wanted).cpu(), torch.tensor([math.sqrt(5 / 2) / 4, 0.0]))
+    assert_close(mare(actual, wanted).cpu(), torch.tensor([(1e12 + 0.5) / 2, 0.0]))
 
 
 @pytest.mark.parametrize("error", [mae, rmse, mare])
 def test_errors_need_a_positive_setpoint(error: Callable[[torch.Tensor, torch.Tensor], torch.Tensor]) -> None:
     wanted = torch.ones(2, 3, 3)
     wanted[1] = 0
-    with pytest.raises(LuxloopError, match="dark everywhere"):
+    with refusal("dark everywhere"):
         error(torch.ones(3, 3), wanted)

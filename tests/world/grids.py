@@ -11,7 +11,6 @@ from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
 from luxloop.world.rendering.raycast import RayCaster
 from luxloop.world.scene.body import Body
 from luxloop.world.scene.scene import Scene
-from luxloop.world.scene.triangles import Triangles
 
 
 def grid(z: Callable[[np.ndarray, np.ndarray], np.ndarray], x: np.ndarray, y: np.ndarray) -> trimesh.Trimesh:
@@ -46,7 +45,7 @@ def lamp(width: int = 1024, height: int = 512) -> View:
     return View(width, height, fx, fy, fx * left, fy * top, eye)
 
 
-def see(*bodies: Body, view: View | None = None) -> tuple[GBuffer, Triangles]:
+def see(*bodies: Body, view: View | None = None) -> GBuffer:
     """What a camera, by default the one above, sees of bodies."""
     triangles, view = Scene(bodies).at(0.0), view or camera()
-    return gbuffer(triangles, view, RayCaster().face_ids(triangles, view)), triangles
+    return gbuffer(triangles, view, RayCaster().face_ids(triangles, view))

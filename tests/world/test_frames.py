@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -15,14 +15,12 @@ angle = st.floats(-math.pi, math.pi)
 metre = st.floats(-1000, 1000)
 
 
-@settings(deadline=None)
 @given(angle, angle, angle)
 def test_rotation_is_yaw_after_pitch_after_roll(roll: float, pitch: float, yaw: float) -> None:
     R = rotation(*torch.tensor([roll, pitch, yaw], dtype=torch.float64))
     np.testing.assert_allclose(R, Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix(), atol=1e-14)
 
 
-@settings(deadline=None)
 @given(st.tuples(metre, metre, metre), st.tuples(angle, angle, angle))
 def test_inverse_undoes_a_pose(position: tuple[float, float, float], angles: tuple[float, float, float]) -> None:
     T = pose(torch.tensor(position, dtype=torch.float64), rotation(*torch.tensor(angles, dtype=torch.float64)))
@@ -40,7 +38,6 @@ def view(T_world_mount: torch.Tensor | None = None) -> View:
     return View(8, 6, fx=10.0, fy=12.0, cx=4.0, cy=2.5, T_world_view=T @ T_ISO_VIEW)
 
 
-@settings(deadline=None)
 @given(st.tuples(*[st.floats(-100, 100)] * 3), st.tuples(*[st.floats(-180, 180)] * 3), st.floats(0.1, 1000))
 def test_rays_project_onto_their_pixel_centres(position: tuple, angles: tuple, depth_m: float) -> None:
     v = view(pose_from_degrees(position, *angles))

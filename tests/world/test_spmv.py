@@ -20,7 +20,6 @@ def close(actual: torch.Tensor, expected: np.ndarray) -> None:
     np.testing.assert_allclose(actual.cpu(), expected, rtol=1e-13, atol=1e-13)
 
 
-@settings(deadline=None)
 @given(matrices, st.data())
 def test_products_are_those_of_scipy(matrix: sp.csr_array, data: st.DataObject) -> None:
     csr = Csr.from_scipy(matrix, torch.float64)
@@ -36,7 +35,6 @@ def test_products_are_those_of_scipy(matrix: sp.csr_array, data: st.DataObject) 
     close(multiply(csr.band(start, stop), x[0, 0]), expected[0, 0, start:stop])
 
 
-@settings(deadline=None)
 @given(matrices, st.data())
 def test_a_part_has_the_chosen_rows_and_columns(matrix: sp.csr_array, data: st.DataObject) -> None:
     rows, columns = (sorted(data.draw(st.sets(st.integers(0, n - 1), max_size=n))) if n else [] for n in matrix.shape)
@@ -89,7 +87,7 @@ def problem(seed: int, m: int = 60, n: int = 25, signed: bool = False) -> tuple[
     return sp.csr_array(dense), 3 * rng.random(m) - 0.5, 0.2 + rng.random(m)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10_000), signed=st.booleans(), highest=st.sampled_from([0.4, 1.0]))
 def test_the_optimum_is_scipys(seed: int, signed: bool, highest: float) -> None:
     A, b, w = problem(seed, signed=signed)

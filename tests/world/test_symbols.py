@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import ExifTags, Image, ImageOps
+from torch.testing import assert_close
 
 from luxloop.world.images import LONGEST, decode
 from luxloop.world.symbols import DRAWN_PX, Frames, load, load_still
@@ -44,11 +45,11 @@ def test_pictures_become_grey_in_0_to_1(tmp_path: Path) -> None:
 
     grey = np.array([[0, 51], [102, 255]], np.uint8)
     expected = torch.tensor([[0.0, 0.2], [0.4, 1.0]])
-    torch.testing.assert_close(loaded(grey), expected)
-    torch.testing.assert_close(loaded(grey.astype(np.uint16) * 257), expected)
-    torch.testing.assert_close(loaded(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)), expected)
+    assert_close(loaded(grey), expected)
+    assert_close(loaded(grey.astype(np.uint16) * 257), expected)
+    assert_close(loaded(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)), expected)
     half_transparent = np.dstack([np.full((2, 2, 3), 255, np.uint8), grey])
-    torch.testing.assert_close(loaded(half_transparent), expected)
+    assert_close(loaded(half_transparent), expected)
     assert loaded(np.full((2, 2), 51, np.uint8)).max().item() == pytest.approx(0.2)  # a dim picture stays dim
 
 
@@ -64,7 +65,7 @@ def test_an_svg_is_drawn_where_its_shapes_are(tmp_path: Path) -> None:
     assert image.shape == (DRAWN_PX // 2, DRAWN_PX)
     expected = torch.zeros_like(image)
     expected[: DRAWN_PX // 4, DRAWN_PX // 4 : 3 * DRAWN_PX // 4] = 1
-    torch.testing.assert_close(image, expected)
+    assert_close(image, expected)
 
 
 def test_a_folder_is_a_sequence_in_the_order_of_names(tmp_path: Path) -> None:
@@ -164,7 +165,7 @@ def test_units_of_an_svg_are_those_of_css(unit: str, px: float, tmp_path: Path) 
     image = load_still(tmp_path / "a.svg")
     expected = torch.zeros(256, 512)
     expected[:, 256:384] = 1
-    torch.testing.assert_close(image, expected, atol=0.01, rtol=0)  # borders fall on pixels but for rounding in the file
+    assert_close(image, expected, atol=0.01, rtol=0)  # borders fall on pixels but for rounding in the file
 
 
 @pytest.mark.parametrize("kind", ["jpeg", "png", "webp", "tiff", "avif"])

@@ -33,7 +33,7 @@ def test_arc_length_equals_quadrature(degree: int) -> None:
     np.testing.assert_allclose(length_at(control, T), expected, rtol=1e-6, atol=1e-6)  # adaptive quadrature's own 1e-8, near-cusps
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(degree=st.integers(1, 6), seed=st.integers(0, 1000))
 def test_no_point_of_the_curve_is_closer(degree: int, seed: int) -> None:
     control = curve(degree, seed)

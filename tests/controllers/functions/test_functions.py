@@ -8,6 +8,7 @@ import torch
 import trimesh
 from pydantic import ValidationError
 from torch import Tensor
+from torch.testing import assert_close
 
 from luxloop.controllers.functions.base_beams import BaseBeamParams, bend_of_course
 from luxloop.controllers.functions.objects import GlareFreeParams, MarkerParams, SignParams
@@ -16,12 +17,12 @@ from luxloop.controllers.functions.symbol import PrimitiveParams, SymbolFunction
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.controllers.situation import DrawingParams, Situation, TrackedObject, fade
-from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees, transform
 from luxloop.world.lamps.presets import idealised
 from luxloop.world.params import Params
 from luxloop.world.scene.body import Body, PoseTrack
 from luxloop.world.symbols import Still
+from tests.refusal import refusal
 
 HERE = torch.eye(4, dtype=torch.float64)
 LAMPS = torch.tensor([[0.0, 0.6, 0.75], [0.0, -0.6, 0.75]], dtype=torch.float64)
@@ -52,10 +53,10 @@ def test_fades_keep_their_ends() -> None:
 
 def test_a_marker_leads_to_the_object_and_ends_before_it() -> None:
     (line,) = MarkerParams(near_m=8, gap_m=0.5, width_m=0.3).primitives(now(PERSON))
-    torch.testing.assert_close(line.normal[0], UP)
+    assert_close(line.normal[0], UP)
     far = line.origin[0] + line.d1[0] / 2
     way = torch.tensor([20.0, 3.0]).double() / math.hypot(20, 3)
-    torch.testing.assert_close((far + line.d2[0])[:2], 8 * way)  # row 0 of its image is far: d2 comes back to the car
+    assert_close((far + line.d2[0])[:2], 8 * way)  # row 0 of its image is far: d2 comes back to the car
     assert far[:2] @ way == pytest.approx(math.hypot(19.7, 2.8) - 0.5)
     assert line.d1[0].norm() == pytest.approx(0.3)
     assert not MarkerParams(near_m=19.5).primitives(now(PERSON))
@@ -92,16 +93,16 @@ def test_functions_move_with_the_car() -> None:
     turned = PrimitiveParams(x_m=30, z_m=2, roll_deg=20, pitch_deg=-50, yaw_deg=10)
     for function in (SymbolFunctionParams(image="a"), PathParams(control_m=((5, 0), (10, 0))), LaneParams(), WidthParams(), turned):
         for here, there in zip(function.primitives(now()), function.primitives(now(T=T)), strict=True):
-            torch.testing.assert_close(transform(T, here.corners()[0].T).T, there.corners()[0])
-            torch.testing.assert_close(T[:3, :3] @ here.normal[0], there.normal[0])
-            torch.testing.assert_close(-torch.nn.functional.normalize(torch.linalg.cross(here.d1[0], here.d2[0]), dim=0), here.normal[0])
+            assert_close(transform(T, here.corners()[0].T).T, there.corners()[0])
+            assert_close(T[:3, :3] @ here.normal[0], there.normal[0])
+            assert_close(-torch.nn.functional.normalize(torch.linalg.cross(here.d1[0], here.d2[0]), dim=0), here.normal[0])
 
 
 def test_a_symbol_lies_where_it_shall_with_its_far_end_first() -> None:
     (p,) = SymbolFunctionParams(image="a", x_m=20, y_m=1, width_m=2, length_m=6).primitives(now())
-    torch.testing.assert_close(p.origin[0], torch.tensor([23.0, 2.0, 0.0]).double())
-    torch.testing.assert_close(torch.stack([p.d1[0], p.d2[0]]), torch.tensor([[0.0, -2.0, 0], [-6.0, 0, 0]]).double())
-    torch.testing.assert_close(p.normal[0], UP)
+    assert_close(p.origin[0], torch.tensor([23.0, 2.0, 0.0]).double())
+    assert_close(torch.stack([p.d1[0], p.d2[0]]), torch.tensor([[0.0, -2.0, 0], [-6.0, 0, 0]]).double())
+    assert_close(p.normal[0], UP)
 
 
 def test_conditions_exchange_symbols_as_an_object_comes_near() -> None:
@@ -121,17 +122,17 @@ def test_black_leaves_the_base_beam_where_it_is_changed_relatively(value: float)
     ramp = torch.linspace(0, 1, 5).view(1, 5)
     situation = replace(now(), symbols={"a": Still(ramp)})
     (p,) = SymbolFunctionParams(image="a", quantity="u_rel", value=value).primitives(situation)
-    torch.testing.assert_close(p.symbols[0] * p.value[0], (1 + (value - 1) * ramp).double())
+    assert_close(p.symbols[0] * p.value[0], (1 + (value - 1) * ramp).double())
     assert p.symbols[0].max() <= 1
 
 
 def test_an_observer_gets_a_rectangle_of_his_own() -> None:
     (p,) = SymbolFunctionParams(image="a", observer={"name": "anna"}).primitives(now(PERSON))
     assert p.observer is not None and p.observer.active.all()
-    torch.testing.assert_close(p.observer.eye[0], torch.tensor([20.0, 3.0, 1.5]).double())
-    torch.testing.assert_close(p.normal[0], UP)
+    assert_close(p.observer.eye[0], torch.tensor([20.0, 3.0, 1.5]).double())
+    assert_close(p.normal[0], UP)
     assert not SymbolFunctionParams(image="a", observer={"name": "anna"}).primitives(now())
-    with pytest.raises(LuxloopError, match="lower the picture"):
+    with refusal("lower the picture"):
         SymbolFunctionParams(image="a", observer={"centre_m": (10, 0, 2.0)}).primitives(now())
 
 
@@ -181,7 +182,7 @@ def test_chevrons_are_bent_along_the_path_and_run() -> None:
     inside = (drawing.along > 3.4) & (drawing.along < 3.6) & (drawing.distance > 0.4) & (drawing.distance < 0.6)
     assert bent[inside].min() > 0.7
     assert not bent[(drawing.along % 4 < 2.0) | (drawing.distance < -0.6)].any()
-    torch.testing.assert_close(drawing.bent(image, 2.0, 4.0, 4.0, shift_m=4.0), bent, atol=1e-6, rtol=0)
+    assert_close(drawing.bent(image, 2.0, 4.0, 4.0, shift_m=4.0), bent, atol=1e-6, rtol=0)
     moved = drawing.bent(image, 2.0, 4.0, 4.0, shift_m=1.0)
     assert moved[(drawing.along > 4.4) & (drawing.along < 4.6) & (drawing.distance > 0.4) & (drawing.distance < 0.6)].min() > 0.7
 
@@ -192,7 +193,7 @@ def test_a_bent_lane_follows_the_circle(curvature: float) -> None:
     control = arc(curvature, 6.0, min(40.0, 6.0 + math.pi / 2 / abs(curvature)))
     points = point(control, torch.linspace(0, 1, 50, dtype=torch.float64))
     centre = torch.tensor([0.0, 1 / curvature], dtype=torch.float64)
-    torch.testing.assert_close((points - centre).norm(dim=-1), torch.full((50,), 1 / abs(curvature)).double(), rtol=3e-4, atol=0)
+    assert_close((points - centre).norm(dim=-1), torch.full((50,), 1 / abs(curvature)).double(), rtol=3e-4, atol=0)
     (bent,) = LaneParams(style="lines", texel_m=0.05).primitives(now(curvature_1_m=curvature))
     p, image = bent, bent.symbols[0].prod(0)
     rows, cols = image.shape
@@ -242,7 +243,7 @@ def test_a_perfect_tracker_reports_the_box_of_a_body() -> None:
     track = PoseTrack((0.0, 1.0), torch.stack([HERE, pose_from_degrees((10, 0, 0))]), 0.0, 5.0)
     each = TrackedObject.of(Body("van", mesh, track=track), "car", 1.0)
     assert each.size_m == pytest.approx((4, 2, 1)) and each.until_s == 5.0
-    torch.testing.assert_close(each.T_world_object[:3, 3], torch.tensor([11.0, 0.0, 0.3]).double())
+    assert_close(each.T_world_object[:3, 3], torch.tensor([11.0, 0.0, 0.3]).double())
 
 
 @pytest.mark.parametrize(

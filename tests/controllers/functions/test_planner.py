@@ -11,9 +11,9 @@ from pydantic import ValidationError
 from luxloop.controllers.functions.planner import LightingParams, Planner
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.controllers.situation import Situation, TrackedObject
-from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised
+from tests.refusal import refusal
 
 HERE = torch.eye(4, dtype=torch.float64)
 LAMPS = torch.tensor([[0.0, 0.6, 0.75], [0.0, -0.6, 0.75]], dtype=torch.float64)
@@ -64,5 +64,5 @@ def test_bad_tables_are_refused(tmp_path: Path) -> None:
         Planner.prepare({"guard": {"kind": "glarefree"}}, LightingParams())
     with pytest.raises(ValidationError, match="margin"):
         Planner.prepare({"guard": {"kind": "glare_free", "margin": 1}}, LightingParams())
-    with pytest.raises(LuxloopError, match="does not exist"):
+    with refusal("does not exist"):
         Planner.prepare({"arrow": {"kind": "symbol", "image": "nothing"}}, LightingParams(), lambda name: tmp_path / name)

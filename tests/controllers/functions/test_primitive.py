@@ -1,6 +1,7 @@
 """Rectangles of light at any place and in any attitude."""
 
 import torch
+from torch.testing import assert_close
 
 from luxloop.controllers.functions.base_beams import BaseBeamParams
 from luxloop.controllers.functions.planner import LightingParams, Planner
@@ -23,15 +24,15 @@ def test_on_the_road_it_is_a_symbol() -> None:
     given = {"image": "a", "x_m": 20.0, "y_m": 1.0, "yaw_deg": 30.0, "width_m": 2.0, "length_m": 6.0}
     (one,), (other,) = (kind(**given).primitives(now()) for kind in (PrimitiveParams, SymbolFunctionParams))
     for name in ("origin", "d1", "d2", "normal", "value", "priority"):
-        torch.testing.assert_close(getattr(one, name), getattr(other, name))
+        assert_close(getattr(one, name), getattr(other, name))
     assert one.symbols[0].equal(other.symbols[0])
 
 
 def test_upright_it_faces_the_car_with_its_first_row_on_top() -> None:
     (p,) = PrimitiveParams(x_m=25, y_m=1, z_m=1.5, pitch_deg=-90, width_m=2, length_m=3).primitives(now())
-    torch.testing.assert_close(p.origin[0], torch.tensor([25.0, 2.0, 3.0]).double())
-    torch.testing.assert_close(torch.stack([p.d1[0], p.d2[0]]), torch.tensor([[0.0, -2.0, 0.0], [0.0, 0.0, -3.0]]).double())
-    torch.testing.assert_close(p.normal[0], torch.tensor([-1.0, 0.0, 0.0]).double())
+    assert_close(p.origin[0], torch.tensor([25.0, 2.0, 3.0]).double())
+    assert_close(torch.stack([p.d1[0], p.d2[0]]), torch.tensor([[0.0, -2.0, 0.0], [0.0, 0.0, -3.0]]).double())
+    assert_close(p.normal[0], torch.tensor([-1.0, 0.0, 0.0]).double())
 
 
 def test_upright_it_lights_the_directions_in_which_it_is_seen() -> None:

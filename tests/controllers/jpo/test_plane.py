@@ -5,10 +5,10 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.pixels.jpo_plane import Raster, fit_plane, lighting
-from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import inverse, pose_from_degrees, transform
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.presets import lamp
+from tests.refusal import refusal
 
 RASTER = Raster(8.0, 40.0, -8.0, 8.0, 64, 32)
 POSES = (pose_from_degrees((0.0, 0.6, 0.75)), pose_from_degrees((0.0, -0.6, 0.75)))
@@ -73,7 +73,7 @@ def test_pixels_that_light_nothing_of_it_keep_their_light(lights: tuple[Headligh
 
 def test_where_no_lamp_shines_nothing_can_be_had(lights: tuple[Headlight, Headlight]) -> None:
     behind = Raster(-20.0, -10.0, -5.0, 5.0, 4, 4)
-    with pytest.raises(LuxloopError, match="no pixel lights the place"):
+    with refusal("no pixel lights the place"):
         fit_plane([(lights[0], POSES[0], torch.zeros(84))], behind, torch.ones(16), torch.ones(16, dtype=torch.bool))
 
 

@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
@@ -32,7 +32,6 @@ def test_with_nothing_in_doubt_it_falls_to_the_least_within_a_second() -> None:
     assert [PARAMS.step(Ambient(0.5, rested=k), (), ()).share for k in (0, 2, 3)] == [0.5, 0.5, 0.25]
 
 
-@settings(deadline=None)
 @given(needed=st.floats(0.06, 1.0))
 def test_it_keeps_what_it_found_detectable_and_does_not_hunt(needed: float) -> None:
     """Never doubtful for longer than it takes to rise; steps are rare once the least has been found."""

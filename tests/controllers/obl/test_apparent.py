@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from luxloop.controllers.functions.object_based import Apparent
@@ -16,7 +16,6 @@ def seen(x: float, y: float, height: float = 1.7, width: float = 0.6) -> Apparen
     return Apparent.of(TrackedObject("person", "pedestrian", pose_from_degrees((2 + x, y, 0.0)), (0.4, width, height)), LAMPS)
 
 
-@settings(deadline=None)
 @given(x=st.floats(5, 80), y=st.floats(-10, 10), error=st.floats(0.4, 2.5))
 def test_an_error_of_the_distance_changes_nothing(x: float, y: float, error: float) -> None:
     """A box that fills the same part of the image is larger the farther away it is taken to be."""

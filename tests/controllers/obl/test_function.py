@@ -110,7 +110,7 @@ def test_light_on_a_deer_leaves_the_head_behind_its_back_dark(shining) -> None: 
     assert shining(CONSTANT, now(deer), on_front(far, 0.85, 1.0)).max() > 2
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(x=st.floats(8, 60), y=st.floats(-6, 6), kind=st.sampled_from(["car", "person"]))
 def test_heads_and_windscreens_stay_dark_wherever_the_object_is(shining, x: float, y: float, kind: str) -> None:  # type: ignore[no-untyped-def]
     """Over a beam of full light, all around the upper part of the box: `dark_lx`, or zero, not little, where that is asked for."""
@@ -129,7 +129,6 @@ def test_a_mask_beats_the_light_of_an_object_beside_it(shining) -> None:  # type
             assert shining(DARK, now(*objects), on_front(each, dark, 1.0)).max() == 0
 
 
-@settings(deadline=None)
 @given(x=st.floats(4, 80), y=st.floats(-8, 8), yaw=st.floats(-180, 180))
 def test_the_rectangle_covers_the_box_seen_from_every_lamp(x: float, y: float, yaw: float) -> None:
     each = replace(car(), T_world_object=pose_from_degrees((x, y, 0.0), yaw_deg=yaw))

@@ -46,7 +46,7 @@ def followed(params: ObjectLoopParams, curve: Curve, noise: float = 0.0, steps: 
     return states
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(knee=st.floats(2, 15), slope=st.floats(0.05, 0.2), fall=st.floats(0, 0.02), noise=st.floats(0, 0.015), seed=st.integers(0, 99))
 def test_the_light_comes_down_to_the_knee(knee: float, slope: float, fall: float, noise: float, seed: int) -> None:
     """It loses the tolerance against full light at most, and four errors of the difference of a mean of 6 and one of 12 frames.
@@ -77,7 +77,7 @@ def test_most_objects_keep_their_confidence_in_noise(noise: float, share: float)
     assert sum(lx) / len(lx) < 11
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(knee=st.floats(2, 15), noise=st.floats(0, 0.08), seed=st.integers(0, 99))
 def test_what_has_settled_stays_where_nothing_changes(knee: float, noise: float, seed: int) -> None:
     """For ten seconds, up to a noise of 0.08 a frame: `drop` is then five errors of a mean of 15 frames."""
@@ -145,7 +145,7 @@ def test_who_is_hidden_now_and_then_gets_the_light_again() -> None:
         assert loop.settled and curve(loop.lx) >= 0.8 - 0.02  # the law's tolerance
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(knee=st.floats(2.5, 7), what=st.sampled_from([("cyclist", HIGH), ("pedestrian", 1.6 * HIGH), ("pedestrian", HIGH / 1.6)]))
 def test_what_has_changed_is_searched_around_its_setpoint(knee: float, what: tuple[Category, float]) -> None:
     """No further than twice as bright or half as bright, and to the new knee as far as that reaches: an octave, which is no `drop`."""

@@ -42,7 +42,7 @@ def light_at(u: torch.Tensor, primitive: Primitives, n: int = 25) -> torch.Tenso
 places = st.tuples(st.floats(-2, 2), st.floats(-1, 0.3), st.floats(0.001, 1), st.floats(0.001, 0.6), st.floats(10, 40), st.floats(0, 1.5))
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(places)
 def test_no_light_reaches_a_masked_body_however_thin_and_few_texels_more_are_dark(place: tuple[float, ...]) -> None:
     dark = mask(*place)

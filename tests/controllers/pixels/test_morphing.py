@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from torch.testing import assert_close
 
 from luxloop.controllers.pixels.morphing import Morph, Morphing, bend, level, roll
 from luxloop.controllers.pixels.mrpc import MrpcParams
@@ -66,8 +67,8 @@ def test_morphs_add_up_and_batch() -> None:
     both = morphing.utilisation(bend(0.02).then(level(0.01)))
     stacked = Morph(torch.stack([bend(0.02).then(level(0.01)).T_headlight_screen, bend(0.0).T_headlight_screen]))
     batch = morphing.utilisation(stacked)
-    torch.testing.assert_close(batch[0], both, rtol=0, atol=1e-5)
-    torch.testing.assert_close(batch[1], morphing.utilisation(bend(0.0)), rtol=0, atol=1e-5)
+    assert_close(batch[0], both, rtol=0, atol=1e-5)
+    assert_close(batch[1], morphing.utilisation(bend(0.0)), rtol=0, atol=1e-5)
 
 
 def test_edge_darkening_spares_the_border_of_a_vignetted_field() -> None:
@@ -80,7 +81,7 @@ def test_edge_darkening_spares_the_border_of_a_vignetted_field() -> None:
     dimmed = Morphing(lamp, beam, MrpcParams(a_d=1.0)).utilisation(moved).view(20, 40)
     assert plain[10, 1].item() == pytest.approx(1.0)
     assert dimmed[10, 1] < 0.5
-    torch.testing.assert_close(dimmed[10, 16:24], plain[10, 16:24], rtol=0, atol=1e-6)
+    assert_close(dimmed[10, 16:24], plain[10, 16:24], rtol=0, atol=1e-6)
 
 
 def test_primitives_lie_over_the_morphed_beam() -> None:
@@ -89,5 +90,5 @@ def test_primitives_lie_over_the_morphed_beam() -> None:
     half = rectangle(*wall[:3], 0.5, "u_rel", normal=wall[3])
     u = Ssc.prepare(LAMP).over(moved).utilisation(half, pose_from_degrees((0.0, 0.0, 0.0))).u
     inside = (slice(9, 12), slice(18, 22))
-    torch.testing.assert_close(u.view(20, 40)[inside], moved.view(20, 40)[inside] / 2, rtol=1e-4, atol=1e-5)
+    assert_close(u.view(20, 40)[inside], moved.view(20, 40)[inside] / 2, rtol=1e-4, atol=1e-5)
     assert torch.equal(u.view(20, 40)[:, :10], moved.view(20, 40)[:, :10])

@@ -8,15 +8,16 @@ import pytest
 import scipy.sparse as sp
 import torch
 from numpy.typing import NDArray
+from torch.testing import assert_close
 
 from luxloop.controllers.pixels.mrpc import MrpcParams
 from luxloop.controllers.pixels.mrpc_tuning import RANGES, Part, TextureControl, Trial, part, tune
 from luxloop.controllers.pixels.primitives import rectangle
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.perception.metrics import mae
-from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
 from luxloop.world.spmv import Csr
+from tests.refusal import refusal
 
 Array = NDArray[np.float64]
 ROWS, COLS, PIXELS = 6, 9, 10
@@ -95,13 +96,13 @@ def test_a_part_gives_the_light_of_the_whole(light: Headlight, wanted: torch.Ten
     u = torch.rand(some.headlight.n_pixels, generator=torch.Generator().manual_seed(0))
     texture = torch.zeros(ROWS, COLS)
     texture[some.window] = some.headlight.light_texture(u)
-    torch.testing.assert_close(texture, light.light_texture(torch.from_numpy(whole(light, some, u)).float()))
-    torch.testing.assert_close(some.wanted, wanted[some.window])
+    assert_close(texture, light.light_texture(torch.from_numpy(whole(light, some, u)).float()))
+    assert_close(some.wanted, wanted[some.window])
     assert some.wanted.sum() == wanted.sum()
     for axis, of_part, of_whole in zip(
         (1, 0), *(grid.tangents(torch.float64, torch.device("cpu")) for grid in (some.headlight, light)), strict=True
     ):
-        torch.testing.assert_close(of_part, of_whole[some.window[axis]])
+        assert_close(of_part, of_whole[some.window[axis]])
 
 
 @pytest.mark.parametrize(
@@ -133,7 +134,7 @@ def test_the_lamps_own_control_does_the_same(values: dict[str, Any], light: Head
 
 
 def test_light_beside_the_lamp_is_refused(light: Headlight, wanted: torch.Tensor) -> None:
-    with pytest.raises(LuxloopError, match=r"no pixel of 'small' reaches"):
+    with refusal(r"no pixel of 'small' reaches"):
         part(light, torch.zeros_like(wanted))
 
 

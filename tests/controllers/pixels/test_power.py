@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from luxloop.controllers.pixels.mrpc import limit_power, pixel_flux
-from luxloop.world.errors import LuxloopError
 from luxloop.world.lamps.presets import idealised
+from tests.refusal import refusal
 
 LAMP = idealised(8, 20)
 
@@ -16,7 +16,7 @@ def test_a_power_limit_dims_all_alike_and_tells_by_how_much() -> None:
     assert factor.tolist() == [0.5, 1.0]
     assert dimmed.tolist() == [[0.25, 0.5], u[1].tolist()]
     assert limit_power(torch.zeros(2), power, 0.0)[1].item() == 1
-    with pytest.raises(LuxloopError, match="below zero"):
+    with refusal("below zero"):
         limit_power(u, power, -1.0)
 
 

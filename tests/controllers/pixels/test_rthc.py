@@ -161,7 +161,7 @@ def cut(setpoints: Setpoints, w: Window) -> tuple[Tensor, Tensor]:
     ]
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(road_poses)
 def test_projected_window_holds_every_hit(pose: tuple[float, float, float, float]) -> None:
     scene = road_symbol(torch.tensor(pose), 0.0, 2.0, 4.0, torch.rand(4, 4), 1.0, "u_abs")

@@ -11,11 +11,11 @@ from luxloop.controllers.pixels.jpo import Jpo
 from luxloop.controllers.pixels.mrpc import same_for_all_pixels
 from luxloop.controllers.pixels.primitives import Primitives, Quantity, concatenate, road_symbol
 from luxloop.controllers.pixels.ssc import Ssc
-from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised
 from luxloop.world.light.illumination import illuminance, lit_surface
 from luxloop.world.rendering.gbuffer import GBuffer
+from tests.refusal import refusal
 
 LAMP = idealised(10, 16)
 T_LEFT = pose_from_degrees((0.0, 0.6, 0.75))
@@ -74,7 +74,7 @@ def test_values_that_are_not_finite_are_refused(value: float) -> None:
     batch = replace(batch, value=torch.tensor([[1.0, 1.0], [1.0, value]]), weight=broken.weight.expand(2, 2))
     for controller in (Ssc.prepare(LAMP), Jpo.prepare(LAMP)):
         for scene in (broken, batch):
-            with pytest.raises(LuxloopError, match=r"value is infinite or not a number; give a finite one"):
+            with refusal(r"value is infinite or not a number; give a finite one"):
                 controller.utilisation(scene, T_LEFT)
 
 

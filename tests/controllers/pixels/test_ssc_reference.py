@@ -121,7 +121,7 @@ def random_case(seed: int) -> tuple[Headlight, np.ndarray, Primitives, torch.Ten
     return light, A, scene, default
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(st.integers(0, 2**32 - 1), parameters, st.booleans())
 def test_equals_the_reference(seed: int, params: MrpcParams, asks: bool) -> None:
     light, A, scene, default = random_case(seed)

@@ -7,9 +7,10 @@ from typing import Any
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
+from torch.testing import assert_close
 
 from luxloop.controllers.pixels.primitives import road_symbol
 from luxloop.controllers.pixels.ssc import Ssc
@@ -100,15 +101,15 @@ def test_signs_of_the_four_errors_in_the_camera_image(symbol: str, edges: str) -
 def test_in_the_birds_eye_view_a_metre_is_a_metre(symbol: str) -> None:
     gains = sensor(symbol, PLANE).model.gains
     # Along the symbol there are some 40 px and lamp rows: a tenth of one over a probe of 0.6 m is 2 %, more with strokes across.
-    torch.testing.assert_close(gains[:1], torch.tensor([-1.0]), rtol=0.04, atol=0)
-    torch.testing.assert_close(gains[1:2], torch.tensor([-1.0]), rtol=0.01, atol=0)
+    assert_close(gains[:1], torch.tensor([-1.0]), rtol=0.04, atol=0)
+    assert_close(gains[1:2], torch.tensor([-1.0]), rtol=0.01, atol=0)
 
 
 def test_the_light_of_two_lamps_adds_up_to_that_of_one() -> None:
     both = sensor(n_lamps=2).model
     lights = projector(n_lamps=2).light(TARGET)
     parts = [added_light((t,), (light,), torch.zeros_like(both.limit)) for t, light in zip(both.transports, lights, strict=True)]
-    torch.testing.assert_close(both.luminance(lights), parts[0] + parts[1])
+    assert_close(both.luminance(lights), parts[0] + parts[1])
     one = sensor().model.luminance(projector().light(TARGET))
     # The setpoint is shared; the lamps see the symbol from 1.2 m apart, which changes cos / d^2 by less than a hundredth.
     assert both.luminance(lights).sum().item() == pytest.approx(one.sum().item(), rel=0.02)
@@ -119,7 +120,6 @@ def test_the_light_of_two_lamps_adds_up_to_that_of_one() -> None:
 offsets = st.tuples(st.floats(-6, 10), st.floats(-2, 2), st.floats(-0.12, 0.12), st.floats(-0.07, 0.03))
 
 
-@settings(deadline=None)
 @given(offsets, st.floats(0, 1), st.floats(0, 1), st.floats(-0.15, 0.15), st.none() | st.floats(-0.2, 0.2), st.booleans())
 def test_footprint_holds_what_the_lamp_can_draw_on_an_uneven_road(
     offset: tuple, u: float, v: float, height_m: float, z: float | None, warped: bool
@@ -171,7 +171,7 @@ def test_a_batch_is_a_loop_of_singles() -> None:
         single = measure(sensor(), pose)
         assert batch.code[k] == single.code
         # The crop is that of the whole batch: other sums.
-        torch.testing.assert_close(batch.errors[k], single.errors, equal_nan=True, rtol=1e-3, atol=1e-3)
+        assert_close(batch.errors[k], single.errors, equal_nan=True, rtol=1e-3, atol=1e-3)
     assert batch.code.tolist() == [ExtractionStatus.SEEN, ExtractionStatus.SEEN, ExtractionStatus.NOTHING]
 
 
@@ -182,7 +182,7 @@ def test_light_beside_the_footprint_is_ignored() -> None:
     beside = torch.ones_like(glare, dtype=torch.bool)
     beside[clean.crop.slices] = False
     seen = watcher.measure(frames(glare + 5.0 * beside), ProjectionCommand(TARGET), lights)
-    torch.testing.assert_close(seen.errors, clean.errors, rtol=0, atol=0)
+    assert_close(seen.errors, clean.errors, rtol=0, atol=0)
 
 
 def test_reasons_for_loss() -> None:
@@ -235,7 +235,6 @@ def test_controllers_go_by_name() -> None:
     assert isinstance(build_controller(PARAMS, sensor()).inner, ThesisPid)
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(st.tuples(*[st.floats(-1e3, 1e3)] * 4), st.sampled_from(list(ExtractionStatus))), max_size=12))
 def test_limits_are_never_exceeded(reports: list) -> None:
     controller, state = thesis_pid(), thesis_pid().start(START)
@@ -291,7 +290,7 @@ def test_a_batch_of_states_equals_singles(device: torch.device) -> None:
         state = batched.step(state, report(error.to(device), code.to(device)))
         singles = [thesis_pid().step(single, report(e, c)) for single, e, c in zip(singles, error, code, strict=True)]
     assert pose_of(batched, state).device.type == device.type
-    torch.testing.assert_close(pose_of(batched, state).cpu(), torch.stack([single.pid.output for single in singles]), rtol=0, atol=1e-6)
+    assert_close(pose_of(batched, state).cpu(), torch.stack([single.pid.output for single in singles]), rtol=0, atol=1e-6)
     assert state.losses.tolist() == [int(single.losses) for single in singles]
 
 
@@ -302,20 +301,6 @@ def test_open_loop_ignores_everything() -> None:
         state = controller.step(state, report(torch.full((4,), 1.0), int(code)))
         assert torch.equal(pose_of(controller, state), TARGET)
     assert pose_of(controller, controller.start(START.expand(3, 4))).shape == (3, 4)
-
-
-def test_converges_on_an_ideal_plant() -> None:
-    controller, state, poses = thesis_pid(), thesis_pid().start(START), []
-    for _ in range(40):
-        pose = pose_of(controller, state)
-        poses.append(pose)
-        state = controller.step(state, report(pose - TARGET))
-    error = (torch.stack(poses) - TARGET) / (START - TARGET)
-    # Spectral radius 0.65 (position) and 0.75 (rotation): 2 % after 9 to 14 steps, and some for the rate limits.
-    assert error[20:].abs().max() < 0.02
-    # 38 % and 21 % is what the gains overshoot by without rate limits.
-    assert -error[:, :2].min() < 0.4
-    assert -error[:, 2:].min() < 0.25
 
 
 def run(watcher: SymbolSensor, start: Tensor, steps: int = 30, drop_every: int | None = None) -> Tensor:

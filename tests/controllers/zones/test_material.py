@@ -7,6 +7,7 @@ import pytest
 import torch
 from pydantic import ValidationError
 from torch import Tensor
+from torch.testing import assert_close
 
 from luxloop.controllers.functions.material import MaterialParams, image_plane
 from luxloop.controllers.functions.zone import box_region
@@ -14,9 +15,9 @@ from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.rthc import Setpoints, trace
 from luxloop.controllers.situation import CameraImage, Situation, TrackedObject
 from luxloop.perception.camera import CameraParams, camera_view
-from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees, transform
 from luxloop.world.lamps.presets import idealised
+from tests.refusal import refusal
 
 HERE = torch.eye(4, dtype=torch.float64)
 VIEW = camera_view(CameraParams(x_m=0.0, z_m=1.0, pitch_deg=2.0, width_px=320, height_px=180))
@@ -77,7 +78,7 @@ def test_rays_ask_for_the_light_of_what_the_camera_sees_along_them() -> None:
             of_it = (found.hit & (material == number)).double()
             of_it = -torch.nn.functional.max_pool2d(-of_it[None], 3, 1, 1)[0] > 0  # clear of borders, where rounding decides
             assert int(of_it.sum()) > 20
-            torch.testing.assert_close(lx[of_it], torch.full_like(lx[of_it], light), rtol=1e-3, atol=0)
+            assert_close(lx[of_it], torch.full_like(lx[of_it], light), rtol=1e-3, atol=0)
         others = ~torch.isin(material, torch.tensor(list(wanted)))
         alone = -torch.nn.functional.max_pool2d(-others.double()[None], 3, 1, 1)[0] > 0
         assert not bool((found.hit & alone).any())  # skin has no light here, and what stands is not lit by the road's picture
@@ -96,16 +97,16 @@ def test_nothing_is_drawn_before_anything_is_seen_and_without_materials_it_is_re
     function = MaterialParams(lights=LIGHTS)
     assert function.adapted(function.start(), situation()) == ()
     assert len(drawn(function.model_copy(update={"road_m": None}), seen())) == 1
-    with pytest.raises(LuxloopError, match="source of materials"):
+    with refusal("source of materials"):
         function.step(None, situation(seen=replace(seen(), material=None)))
 
 
 def test_the_image_plane_is_the_cameras_image() -> None:
     eye, corner, right, down = image_plane(VIEW)
-    torch.testing.assert_close(eye, VIEW.origin)
+    assert_close(eye, VIEW.origin)
     points = torch.stack([corner, corner + right + down, corner + right / 2 + down / 2], 1)
     uv, _ = VIEW.project(transform(HERE, points))
-    torch.testing.assert_close(uv.T, torch.tensor([[0, 0], [320, 180], [160, 90]], dtype=torch.float64), atol=1e-6, rtol=0)
+    assert_close(uv.T, torch.tensor([[0, 0], [320, 180], [160, 90]], dtype=torch.float64), atol=1e-6, rtol=0)
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ def courses(reflectance: float, ambient_lx: float, zone: ZoneParams) -> list[flo
     return found
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(reflectance=st.floats(0.05, 0.8), ambient_lx=st.floats(0.0, 0.3), target=st.floats(0.05, 1.5))
 def test_a_zone_comes_within_5_percent_in_10_steps_over_all_reflectances(reflectance: float, ambient_lx: float, target: float) -> None:
     zone = ZoneParams(**WALL | {"luminance_cd_m2": target})

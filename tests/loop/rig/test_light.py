@@ -10,8 +10,8 @@ import pytest
 from luxloop.loop.rig.light import Shine, limit, places
 from luxloop.loop.rig.lights import FilesLight
 from luxloop.loop.rig.params import FilesLightParams, LimitParams, ScanParams
-from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import ModuleCommand
+from tests.refusal import refusal
 
 
 def test_pixels_go_out_in_the_order_of_the_device() -> None:
@@ -50,5 +50,5 @@ def test_light_goes_into_files_whole_with_commands_and_dark(tmp_path: Path) -> N
     light.dark()
     assert not cv2.imread(str(tmp_path / "light.png"), cv2.IMREAD_UNCHANGED).any()
     assert sorted(each.name for each in tmp_path.iterdir()) == ["light.json", "light.png"]
-    with pytest.raises(LuxloopError, match="make it"):
+    with refusal("make it"):
         FilesLight(FilesLightParams(kind="files", folder=tmp_path / "none"))

@@ -9,7 +9,7 @@ import pytest
 from luxloop.loop.rig.light import Shine, limit
 from luxloop.loop.rig.matching import Regularity, draw_mark, limits_beside_mark, read_mark, shows
 from luxloop.loop.rig.params import LimitParams, MarkParams, TimingParams
-from luxloop.world.errors import LuxloopError
+from tests.refusal import refusal
 
 MARK = MarkParams(row=2, column=4, rows=4, columns=16, u_px=40, v_px=20, width_px=160, height_px=40)
 
@@ -55,5 +55,5 @@ def test_a_mark_is_within_the_limit_of_power() -> None:
     assert 0.2 < Shine(1, draw_mark(given.shine.pictures, MARK, 1)).share < 0.25
     bare = limit(Shine(1, (np.pad(np.ones((4, 30), np.float32), ((16, 0), (0, 0))),)), None, 1.0, limits)  # beside the mark alone
     assert Shine(1, draw_mark(bare.shine.pictures, MARK, 1)).share == pytest.approx(0.25)
-    with pytest.raises(LuxloopError, match=r"mark: takes 5.3% of the lamp's power, where limits allow 1.0%; make it smaller"):
+    with refusal(r"mark: takes 5.3% of the lamp's power, where limits allow 1.0%; make it smaller"):
         limits_beside_mark(LimitParams(power=0.01), MARK, ((20, 30),))

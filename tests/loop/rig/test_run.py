@@ -23,9 +23,9 @@ from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.simulated import simulated_plant
 from luxloop.world.arrays import read_parquet
-from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import Lux, assert_one_sentence
 from tests.loop.rig.conftest import ENVIRONMENT, FILE, PROGRAM, Start, eventually
+from tests.refusal import refusal
 
 PIXELS = 332 * 64
 PASSWORD = "Tr0ub4dor"
@@ -138,7 +138,7 @@ def test_values_are_put_into_a_table_timing_or_nowhere(tmp_path: Path, wrong: st
     write_timing(file, {"latency_s": 0.03, "jitter_s": 0.02})
     assert file.read_text() == "[timing]  # mine\nlatency_s = 0.03\nwait_s = 2\njitter_s = 0.02\n\n[light]\nx = 1\n"
     file.write_text(wrong)
-    with pytest.raises(LuxloopError, match=r"timing: is not written as a table"):
+    with refusal(r"timing: is not written as a table"):
         write_timing(file, {"latency_s": 0.03})
     assert file.read_text() == wrong
 

@@ -52,7 +52,7 @@ def dense_reference(row: np.ndarray, keep: int, method: Method, cases: np.ndarra
 
 
 @each_method
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(matrix=matrices, keep=st.integers(1, 6))
 def test_agrees_with_a_dense_reference(method: Method, matrix: Csr, keep: int) -> None:
     cases = np.array(standard_use_cases(1, matrix.n_cols))

@@ -63,7 +63,7 @@ def test_a_texel_holds_the_mean_of_the_blurred_rectangle_over_its_width() -> Non
         assert light[r, c, i, j] == pytest.approx(8000 * dimming * vertical * horizontal, rel=1e-9, abs=1e-9)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     blur=st.floats(0, 0.8),
     overlap=st.floats(0, 1),

@@ -76,7 +76,7 @@ def test_numpy_alone_reads_it(content: bytes) -> None:
     assert (header["format"], header["version"], header["beams"]) == ("luxloop lamp", 1, ["low beam", "town"])
 
 
-@settings(deadline=None, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(drawn=st.data())
 def test_damage_is_noticed(lamp: Lamp, content: bytes, tmp_path: Path, drawn: st.DataObject) -> None:
     """A broken copy is refused, or (a flipped bit of a date, say) gives the same lamp."""

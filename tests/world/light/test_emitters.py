@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from torch.testing import assert_close
 
 from luxloop.world.frames import R_ISO_OPENCV, View, pose, pose_from_degrees
 from luxloop.world.headlight.lamp import Lamp, Module
@@ -38,7 +39,7 @@ def test_a_lamp_beside_the_middle_shows_parallax(lamp: Lamp, pattern: tuple[torc
     point[2] = 0.75 - point[:2].norm() * math.tan(math.radians(1))
     ray = point - LEFT[:3, 3]
     expected = lamp.intensity(pattern, ray[:, None]) * 10 / ray.norm() ** 3
-    torch.testing.assert_close(beside, expected, rtol=1e-6, atol=0)
+    assert_close(beside, expected, rtol=1e-6, atol=0)
 
 
 def test_views_show_the_sum_of_all_modules_through_the_air(lamp: Lamp, pattern: tuple[torch.Tensor, ...]) -> None:
@@ -51,10 +52,10 @@ def test_views_show_the_sum_of_all_modules_through_the_air(lamp: Lamp, pattern: 
     expected = (lamp.intensity(pattern, ray) * -ray[2] / d**3).view(12, 8)
     found, luminance = surface_light(road, lit)
     assert found.max() > 0.5
-    torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-6)  # light textures are float32
-    torch.testing.assert_close(luminance, 0.2 * found / math.pi)
+    assert_close(found, expected, rtol=1e-5, atol=1e-6)  # light textures are float32
+    assert_close(luminance, 0.2 * found / math.pi)
     hazy, _ = surface_light(road, lit, extinction_per_m=0.01)
-    torch.testing.assert_close(hazy, expected * torch.exp(-0.01 * d).view(12, 8), rtol=1e-5, atol=1e-6)
+    assert_close(hazy, expected * torch.exp(-0.01 * d).view(12, 8), rtol=1e-5, atol=1e-6)
 
 
 def surfaces(device: torch.device) -> GBuffer:
@@ -68,7 +69,7 @@ def surfaces(device: torch.device) -> GBuffer:
 def test_a_wall_sees_half_the_sky_and_a_ceiling_none(device: torch.device) -> None:
     luminance = ambient_luminance(surfaces(device), 10.0)
     expected = torch.tensor([[0.5 * 10, 0.2 * 5, 0.0, 0.0]], device=device) / math.pi
-    torch.testing.assert_close(luminance, expected)
+    assert_close(luminance, expected)
 
 
 def test_street_lamps_add_up_by_the_inverse_square_law(device: torch.device) -> None:
@@ -76,7 +77,7 @@ def test_street_lamps_add_up_by_the_inverse_square_law(device: torch.device) -> 
     luminance = ambient_luminance(surfaces(device), 0.0, lamps)
     # (3, 0, 0) is 5 m from the first lamp: cos 4/5 on the road, 3/5 on the wall; 2 m below the second, which grazes the wall.
     expected = torch.tensor([[0.5 * (1000 * 0.8 / 25 + 100 / 4), 0.2 * 1000 * 0.6 / 25, 0.0, 0.0]], device=device) / math.pi
-    torch.testing.assert_close(luminance, expected)
+    assert_close(luminance, expected)
 
 
 def test_spotlights_fall_off_with_the_angle_and_shining_surfaces_add_their_own(device: torch.device) -> None:
@@ -88,7 +89,7 @@ def test_spotlights_fall_off_with_the_angle_and_shining_surfaces_add_their_own(d
         luminance = ambient_luminance(surfaces(device), 0.0, (), (spot,))
         expected = torch.tensor([[0.5 * 1000 * 0.8 / 25, 0.2 * 1000 * 0.6 / 25, 0.0, 0.0]], device=device) * share / math.pi
         # aside of a tilted axis the two angles are not quite those of one turn: 0.02 % of the light
-        torch.testing.assert_close(luminance, expected, rtol=1e-5 if share == 1 else 1e-3, atol=1e-6)
+        assert_close(luminance, expected, rtol=1e-5 if share == 1 else 1e-3, atol=1e-6)
     finish = Finish((LAMBERTIAN, Material(luminance_cd_m2=600.0)), torch.tensor([[0, 1, 0, 0]], device=device), torch.zeros(3))
     luminance = ambient_luminance(replace(surfaces(device), finish=finish), 0.0)
     assert luminance.tolist() == [[0.0, 600.0, 0.0, 0.0]]

@@ -8,6 +8,7 @@ import scipy.sparse as sp
 import torch
 import trimesh
 from torch import Tensor
+from torch.testing import assert_close
 
 from luxloop.world.frames import inverse, pose_from_degrees, transform
 from luxloop.world.headlight import Headlight
@@ -79,7 +80,7 @@ def assert_closed_form(gbuffer: GBuffer, poses: list[Tensor]) -> None:
     actual = torch.stack([light_on(gbuffer, T, lamp) for T in poses]).sum(0)[even].double()
     expected = torch.stack([closed_form(gbuffer, T) for T in poses]).sum(0)[even]
     # The promise is 0.1 %; float32 does 100 times better where the texture is even and interpolation cannot matter.
-    torch.testing.assert_close(actual, expected, rtol=1e-5, atol=0)
+    assert_close(actual, expected, rtol=1e-5, atol=0)
 
 
 @pytest.mark.parametrize("x_m", [2.0, 10.0, 50.0])
@@ -145,7 +146,7 @@ def test_a_box_throws_a_shadow_as_long_as_its_height_asks() -> None:
     lit = lit_surface(points, LAMP, T_LEFT, scene.at(0.0))
     assert lit.index.tolist() == [3, 4, 5]
     free = lit_surface(points, LAMP, T_LEFT)
-    torch.testing.assert_close(lit.factor, free.factor[3:])
+    assert_close(lit.factor, free.factor[3:])
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +160,7 @@ def test_transport_equals_the_plain_path(folded: tuple) -> None:
     u = torch.rand(3, LAMP.n_pixels, generator=torch.Generator().manual_seed(4))
     actual, index = folded_transport.luminance(u)
     # At most eight float32 products a pixel, none negative: some 1e-6.
-    torch.testing.assert_close(actual, luminance(lit, LAMP.light_texture(u)), rtol=1e-5, atol=0)
+    assert_close(actual, luminance(lit, LAMP.light_texture(u)), rtol=1e-5, atol=0)
     assert torch.equal(index, lit.index)
 
 
@@ -175,7 +176,7 @@ def test_banded_light_equals_whole_light(folded: tuple, band: slice) -> None:
     image[index] = part
     whole, index = folded_transport.luminance(u)
     expected[index] = whole
-    torch.testing.assert_close(image, expected, rtol=1e-6, atol=0)
+    assert_close(image, expected, rtol=1e-6, atol=0)
 
 
 def test_transport_passes_gradients(folded: tuple) -> None:
@@ -184,7 +185,7 @@ def test_transport_passes_gradients(folded: tuple) -> None:
     folded_transport.luminance(u)[0].square().sum().backward()
     v = torch.full((2, LAMP.n_pixels), 0.5, requires_grad=True)
     luminance(lit, LAMP.light_texture(v)).square().sum().backward()
-    torch.testing.assert_close(u.grad, v.grad, rtol=1e-4, atol=1e-6)
+    assert_close(u.grad, v.grad, rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("oversampling", [1, 3])

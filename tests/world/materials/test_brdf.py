@@ -64,7 +64,7 @@ def reflectance(material: Material, albedo: float, cos_v: float, n: int = 128) -
     return total
 
 
-@settings(deadline=None, max_examples=8)
+@settings(max_examples=8)
 @given(materials, share, st.lists(st.floats(0.002, 1), min_size=3, max_size=3))
 def test_white_furnace_no_surface_reflects_more_than_it_gets(material: Material, albedo: float, cos_v: list[float]) -> None:
     # The quadrature is good to 1e-4 or so, where the tables keep 1e-3 below.
@@ -81,7 +81,7 @@ def test_white_furnace_a_white_ground_returns_all_that_it_gets(material: Materia
 directions = st.tuples(st.floats(0.01, 1), st.floats(0, 2 * math.pi))
 
 
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 @given(materials, share, directions, directions)
 def test_lamp_and_eye_may_change_places(material: Material, albedo: float, lamp: tuple[float, float], eye: tuple[float, float]) -> None:
     to_lamp, to_eye = (on_sphere(*(torch.tensor([x], dtype=torch.float64) for x in place)) for place in (lamp, eye))

@@ -5,6 +5,7 @@ import torch
 from pydantic import ValidationError
 from torch import Tensor
 from torch.nn.functional import normalize
+from torch.testing import assert_close
 
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised
@@ -31,10 +32,6 @@ def road(**keys) -> Body:
     return Body("road", flat(), surface.albedo, surface.texture(), smooth=True)
 
 
-def seen_of(*bodies: Body) -> GBuffer:
-    return see(*bodies)[0]
-
-
 def shown(seen: GBuffer) -> Tensor:
     """Luminance of the G-buffer's image in the left lamp's light."""
     lit = lit_surface(seen, LAMP, T_LEFT)
@@ -44,14 +41,14 @@ def shown(seen: GBuffer) -> Tensor:
 
 
 def test_a_lambertian_scene_carries_no_finish() -> None:
-    seen = seen_of(road(markings=True), board())
+    seen = see(road(markings=True), board())
     assert seen.finish is None
     lit = lit_surface(seen, LAMP, T_LEFT)
     assert torch.equal(lit.luminance_factor, seen.albedo.flatten()[lit.index])
 
 
 def test_a_sign_shines_back_as_its_brdf_says_and_nothing_else_changes() -> None:
-    plain, sign = seen_of(road(), board()), seen_of(road(), board(material="retroreflective_sign"))
+    plain, sign = see(road(), board()), see(road(), board(material="retroreflective_sign"))
     was, now = shown(plain), shown(sign)
     board_pixels = plain.object_id == 1
     assert torch.equal(was[~board_pixels], now[~board_pixels])
@@ -60,7 +57,7 @@ def test_a_sign_shines_back_as_its_brdf_says_and_nothing_else_changes() -> None:
     to_lamp, to_eye = (normalize(origin[:, None] - position, dim=0) for origin in (T_LEFT[:3, 3], camera().origin))
     factor = luminance_factor(MATERIALS["retroreflective_sign"], torch.full_like(position[0], 0.4), normal, to_lamp, to_eye)
     # directions in float32 against a lobe 1.2 deg wide
-    torch.testing.assert_close(now[lit] / was[lit], (factor / 0.4).float(), rtol=1e-3, atol=0)
+    assert_close(now[lit] / was[lit], (factor / 0.4).float(), rtol=1e-3, atol=0)
     # the eye is 0.7 deg to the side and 2 deg above the lamp
     assert 20 < (now[lit] / was[lit]).median() < 200
 
@@ -68,19 +65,19 @@ def test_a_sign_shines_back_as_its_brdf_says_and_nothing_else_changes() -> None:
 def test_water_darkens_the_road_and_drowns_the_beads() -> None:
     dry, wet = road(markings=True, beads=True, grain=0.0).texture, road(markings=True, beads=True, grain=0.0, wet=1.0).texture
     assert dry is not None and wet is not None
-    torch.testing.assert_close(wet.albedo, WET.darken(dry.albedo))
+    assert_close(wet.albedo, WET.darken(dry.albedo))
     assert [material.retro > 0 for material in dry.materials] == [False, True]
     assert [material.retro > 0 for material in wet.materials] == [False, False]
-    own = shown(seen_of(road(wet=1.0))) / shown(seen_of(road()))
+    own = shown(see(road(wet=1.0))) / shown(see(road()))
     assert own.nanmean() < 0.6
 
 
 def test_the_assumed_road_is_as_wet_as_the_real_one() -> None:
     surface = RoadSurfaceParams(wet=0.7, grain=0.0)
-    assumed, real = flat_road(camera(), surface.seen_albedo, material=surface.ground), seen_of(road(wet=0.7, grain=0.0))
+    assumed, real = flat_road(camera(), surface.seen_albedo, material=surface.ground), see(road(wet=0.7, grain=0.0))
     both = (assumed.object_id == 0) & (real.object_id == 0) & (assumed.position[0] < 60)
     # positions in float32 from two computations
-    torch.testing.assert_close(shown(assumed)[both], shown(real)[both], rtol=1e-3, atol=1e-5)
+    assert_close(shown(assumed)[both], shown(real)[both], rtol=1e-3, atol=1e-5)
     assert shown(assumed).max() > 0.1
     dry = flat_road(camera(), RoadSurfaceParams().seen_albedo, material=RoadSurfaceParams().ground)
     assert dry.finish is None and torch.equal(dry.albedo, flat_road(camera(), 0.2).albedo)
@@ -120,6 +117,6 @@ def test_a_puddle_is_what_a_wet_road_is() -> None:
     texture, wet = spotted(SpotParams(x_m=17, material="wet_asphalt")), RoadSurfaceParams(seed=3, wet=1.0).texture()
     x, y = cells((16.8, 17.2), (-0.2, 0.2))
     # darkening before or after the interpolation between texels of 2 cm
-    torch.testing.assert_close(texture.at(x, y), wet.at(x, y), rtol=0.02, atol=0)
+    assert_close(texture.at(x, y), wet.at(x, y), rtol=0.02, atol=0)
     assert {texture.materials[k] for k in texture.material_at(x, y).unique()} == {WET}
     assert {texture.materials[k] for k in texture.material_at(x + 3, y).unique()} == {texture.materials[0]}

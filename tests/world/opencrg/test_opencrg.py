@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from luxloop.world.opencrg import Crg, CrgSurface, fill_gaps, modify, read_crg
 from tests.refusal import refusal
@@ -48,7 +49,7 @@ def bordered(crg: Crg, mode: int) -> CrgSurface:
 
 
 def assert_close(actual: np.ndarray, expected: np.ndarray) -> None:
-    np.testing.assert_allclose(actual, expected, rtol=0, atol=TOLERANCE_M)
+    assert_allclose(actual, expected, rtol=0, atol=TOLERANCE_M)
 
 
 def test_agrees_with_the_reference_library(scan: Crg, reference: dict) -> None:
@@ -83,8 +84,8 @@ def test_a_closed_track_wraps(data_dir: Path) -> None:
     lap = track.u_end + float(np.hypot(*(track.points[0] - track.points[-1])))
     u, v = np.array([100.0, 2000.0]), np.array([1.0, -2.0])
     # The gap of 0.18 m is closed along the end's heading, 0.4 mm less than its length.
-    np.testing.assert_allclose(track.xy(u + lap, v), track.xy(u, v), atol=1e-2)
-    np.testing.assert_allclose(track.z(u + lap, v), track.z(u, v), atol=1e-3)
+    assert_allclose(track.xy(u + lap, v), track.xy(u, v), atol=1e-2)
+    assert_allclose(track.z(u + lap, v), track.z(u, v), atol=1e-3)
 
 
 LINE = {"increment": 0.25, "start_u": 3.0, "start_x": 2.0, "start_phi": 0.3}
@@ -113,19 +114,19 @@ def test_write_and_read_again(tmp_path: Path, kind: str, tolerance: float, kind_
     write_crg(tmp_path / "one.crg", crg, kind)
     once = read_crg(tmp_path / "one.crg")
     # float32 and ten characters both keep 7 digits of values below 1; twenty characters keep 17 decimals.
-    np.testing.assert_allclose(once.z, crg.z, rtol=0, atol=tolerance)
+    assert_allclose(once.z, crg.z, rtol=0, atol=tolerance)
     np.testing.assert_array_equal(once.v, crg.v)
     assert (once.modifiers, once.options, once.kind) == (crg.modifiers, crg.options, kind)
     write_crg(tmp_path / "two.crg", once)
     assert (tmp_path / "two.crg").read_bytes() == (tmp_path / "one.crg").read_bytes()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @example(u=3.0, v=-1.2659479698433227, seed=0)  # rounding takes it before the line's start, where another heading counts
 @given(u=st.floats(3.0, 12.7), v=st.floats(-1.5, 1.5), seed=st.integers(0, 20))
 def test_xy_and_uv_are_inverse(u: float, v: float, seed: int) -> None:
     surface = CrgSurface(grid(seed=seed))
-    np.testing.assert_allclose(surface.uv(*surface.xy(u, v)), (u, v), atol=1e-9)
+    assert_allclose(surface.uv(*surface.xy(u, v)), (u, v), atol=1e-9)
 
 
 @pytest.mark.parametrize(("mode", "expected"), [(0, np.nan), (1, 0.5), (2, 3.5), (3, 0.5), (4, 2.5)])
@@ -137,7 +138,7 @@ def test_border_modes(mode: int, expected: float) -> None:
 
 def test_smoothing_ramps_from_the_line() -> None:
     step = Crg(z=np.ones((11, 2)), v=np.array([-1.0, 1.0]), road={"reference_line_increment": 1.0}, options={"border_smooth_ubeg": 4.0})
-    np.testing.assert_allclose(CrgSurface(step).z([-1.0, 1.0, 2.0, 4.0, 9.0], 0.0), [0.0, 0.25, 0.5, 1.0, 1.0])
+    assert_allclose(CrgSurface(step).z([-1.0, 1.0, 2.0, 4.0, 9.0], 0.0), [0.0, 0.25, 0.5, 1.0, 1.0])
 
 
 @pytest.mark.parametrize("given", [True, False])
@@ -147,20 +148,20 @@ def test_line_meets_its_end_if_given(given: bool) -> None:
     surface = CrgSurface(crg)
     assert tuple(surface.points[0]) == (0.0, 0.0)
     if given:
-        np.testing.assert_allclose([*surface.points[-1], surface.heights[-1]], [9.0, 1.0, 0.4], atol=1e-12)
+        assert_allclose([*surface.points[-1], surface.heights[-1]], [9.0, 1.0, 0.4], atol=1e-12)
     else:
-        np.testing.assert_allclose(np.linalg.norm(np.diff(surface.points, axis=0), axis=1), 0.25)
+        assert_allclose(np.linalg.norm(np.diff(surface.points, axis=0), axis=1), 0.25)
 
 
 def test_modifiers_move_the_reference_point_and_keep_the_shape() -> None:
     crg = grid()
     mods = {"refpoint_u": 7.0, "refpoint_v": 0.3, "refpoint_x": 5.0, "refpoint_y": -2.0, "refpoint_z": 1.0, "refpoint_phi": 0.7}
     before, after = CrgSurface(crg), CrgSurface(modify(crg, mods))
-    np.testing.assert_allclose([*after.xy(7.0, 0.3), after.z(7.0, 0.3), after.phi(7.0)], [5.0, -2.0, 1.0, 0.7], atol=1e-12)
+    assert_allclose([*after.xy(7.0, 0.3), after.z(7.0, 0.3), after.phi(7.0)], [5.0, -2.0, 1.0, 0.7], atol=1e-12)
     u, v = np.random.default_rng(0).uniform([[4.0], [-1.0]], [[11.0], [1.0]], (2, 50))
-    np.testing.assert_allclose(after.z(u, v) - before.z(u, v), 1.0 - before.z(7.0, 0.3), atol=1e-12)
+    assert_allclose(after.z(u, v) - before.z(u, v), 1.0 - before.z(7.0, 0.3), atol=1e-12)
     distances = [np.hypot(*(np.stack(s.xy(u, v)) - np.stack(s.xy(7.0, 0.3))[:, None])) for s in (before, after)]
-    np.testing.assert_allclose(*distances, atol=1e-12)
+    assert_allclose(*distances, atol=1e-12)
 
 
 def test_modifiers_scale() -> None:
@@ -170,7 +171,7 @@ def test_modifiers_scale() -> None:
     np.testing.assert_array_equal(scaled.v, crg.v / 2)
     assert (scaled.u_start, scaled.u_end) == (crg.u_start, crg.u_start + 3 * (crg.u_end - crg.u_start))
     turned = CrgSurface(modify(grid(), {"scale_curvature": 0.0}))
-    np.testing.assert_allclose(turned.phi(np.linspace(3.0, 12.7, 9)), 0.3)
+    assert_allclose(turned.phi(np.linspace(3.0, 12.7, 9)), 0.3)
 
 
 def test_nan_is_filled_outwards() -> None:
@@ -257,7 +258,7 @@ def test_units_are_converted(kind: str, channel: str, unit: str, one: float, tmp
     head, mark, data = (tmp_path / "a.crg").read_bytes().partition(b"$" * 72)
     (tmp_path / "a.crg").write_bytes(head.replace(b"," + named + b"\n", f",{unit}\n".encode()) + mark + data)
     # float32, and 10 characters, hold 7 digits of the value as it is stored
-    np.testing.assert_allclose(getattr(read_crg(tmp_path / "a.crg"), channel), value, rtol=0, atol=1e-5 * one + 1e-7)
+    assert_allclose(getattr(read_crg(tmp_path / "a.crg"), channel), value, rtol=0, atol=1e-5 * one + 1e-7)
 
 
 def test_header_numbers_have_units_and_sections_an_increment_from_their_ends(tmp_path: Path) -> None:
@@ -268,7 +269,7 @@ def test_header_numbers_have_units_and_sections_an_increment_from_their_ends(tmp
         data = data.replace(old, new)
     (tmp_path / "a.crg").write_bytes(data)
     crg = read_crg(tmp_path / "a.crg")
-    np.testing.assert_allclose(crg.v, np.linspace(-1, 1, 6), atol=1e-12)
+    assert_allclose(crg.v, np.linspace(-1, 1, 6), atol=1e-12)
     assert crg.line("start_phi") == pytest.approx(np.pi / 6)
 
 

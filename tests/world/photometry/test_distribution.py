@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from luxloop.world.photometry import Distribution
 from luxloop.world.photometry.distribution import Kind, angles_of
@@ -52,8 +53,8 @@ def test_type_b_is_type_c_by_the_known_conversion() -> None:
     directions[0] = abs(directions[0])
     v, h = np.deg2rad(angles_of("B", directions))
     gamma, c = np.deg2rad(angles_of("C", directions))
-    np.testing.assert_allclose(np.tan(v), np.cos(np.pi / 2 - c) * np.tan(gamma), rtol=1e-9)
-    np.testing.assert_allclose(np.sin(h), np.sin(np.pi / 2 - c) * np.sin(gamma), rtol=1e-9)
+    assert_allclose(np.tan(v), np.cos(np.pi / 2 - c) * np.tan(gamma), rtol=1e-9)
+    assert_allclose(np.sin(h), np.sin(np.pi / 2 - c) * np.sin(gamma), rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -72,16 +73,16 @@ def test_type_b_is_type_c_by_the_known_conversion() -> None:
 def test_planes_of_type_c_are_unfolded(stored: list[float], queries: list[float], expected: list[float]) -> None:
     candela = np.repeat(np.arange(1.0, len(stored) + 1)[:, None], 2, axis=1)
     distribution = Distribution("C", np.array([0.0, 180]), np.array(stored, float), candela)
-    np.testing.assert_allclose(distribution.at(60, np.array(queries, float)), expected, rtol=1e-12)
+    assert_allclose(distribution.at(60, np.array(queries, float)), expected, rtol=1e-12)
 
 
 def test_types_a_and_b_are_mirrored_where_they_begin_at_zero_and_dark_beyond_their_ends() -> None:
     candela = np.array([[4.0, 2], [3, 1]])
     for kind in ("A", "B"):
         folded = Distribution(kind, np.array([0.0, 10]), np.array([0.0, 20]), candela)
-        np.testing.assert_allclose(folded.at([10, -10, 5, 11, 0], [20, -20, -10, 0, 21]), [1, 1, 2.5, 0, 0])
+        assert_allclose(folded.at([10, -10, 5, 11, 0], [20, -20, -10, 0, 21]), [1, 1, 2.5, 0, 0])
         sided = Distribution(kind, np.array([-1.0, 10]), np.array([1.0, 20]), candela)
-        np.testing.assert_allclose(sided.at([-1, 10, -5, 0], [1, 20, 10, -5]), [4, 1, 0, 0])
+        assert_allclose(sided.at([-1, 10, -5, 0], [1, 20, 10, -5]), [4, 1, 0, 0])
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from luxloop.world.photometry import Distribution, read_photometry, write_eulumdat
 from luxloop.world.photometry.eulumdat import parse
@@ -24,7 +25,7 @@ def test_a_plain_file() -> None:
     p = parsed(PLAIN)
     assert (p.format, p.luminaire, p.lamps, p.lumens_per_lamp, p.watts) == ("EULUMDAT", "luminaire", 1, 2000, 20)
     assert p.size_m == (-0.2, 0.2, 0.02)  # round
-    np.testing.assert_allclose(p.distribution.candela, 2 * np.array(TABLE))  # cd/klm at 2000 lm
+    assert_allclose(p.distribution.candela, 2 * np.array(TABLE))  # cd/klm at 2000 lm
     assert p.warnings == ()
 
 
@@ -44,12 +45,12 @@ def test_symmetries(symmetry: int, stored: int, planes: list[int], ahead: float,
     d = parsed(ldt(symmetry, planes, GAMMA, [[1.0, 10 * plane, 1] for plane in range(1, stored + 1)], flux="1000")).distribution
     assert len(d.horizontal_deg) == stored
     around = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]]).T
-    np.testing.assert_allclose(d.intensity(around, "nadir"), [ahead, left, behind, right])
+    assert_allclose(d.intensity(around, "nadir"), [ahead, left, behind, right])
 
 
 def test_symmetry_3_may_store_the_half_behind() -> None:
     d = parsed(ldt(3, [90, 180, 270], GAMMA, [[1.0, 10 * plane, 1] for plane in (1, 2, 3)], flux="1000")).distribution
-    np.testing.assert_allclose(d.at(90, [0, 90, 180, 270]), [20, 10, 20, 30])
+    assert_allclose(d.at(90, [0, 90, 180, 270]), [20, 10, 20, 30])
 
 
 @pytest.mark.parametrize("number", [24, 29, FIRST_VALUE + 1])
@@ -74,7 +75,7 @@ def test_layout_does_not_matter(layout, tmp_path: Path) -> None:  # type: ignore
 def test_a_negative_number_of_lamps_means_absolute() -> None:
     p = parsed(ldt(4, C, GAMMA, TABLE, lamps="-1"))
     assert p.absolute and p.lamps == 1
-    np.testing.assert_allclose(p.distribution.candela, 2 * np.array(TABLE))
+    assert_allclose(p.distribution.candela, 2 * np.array(TABLE))
 
 
 @pytest.mark.parametrize(

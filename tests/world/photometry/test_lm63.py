@@ -181,7 +181,7 @@ def distributions(draw: st.DrawFn) -> Distribution:
     return Distribution(kind, np.array(v), np.array(h), candela)
 
 
-@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(distributions())
 def test_what_is_written_is_read_back(tmp_path: Path, d: Distribution) -> None:
     write(tmp_path / "lamp.ies", d, {"LAMP": "one\ntwo"})

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from pydantic import TypeAdapter, ValidationError
 from scipy.signal import welch
 
@@ -43,8 +44,8 @@ def test_finite_and_level_under_the_vehicle(road: Road) -> None:
     z = road.z(np.linspace(-10, 130, 300)[:, None], np.linspace(-30, 30, 100))
     assert z.shape == (300, 100) and z.dtype == np.float64
     assert np.isfinite(z).all()
-    np.testing.assert_allclose(road.z(*WHEELS_M.T), 0.0, atol=1e-12)
-    np.testing.assert_allclose(road.z(0.0, [-0.6, 0.6]), 0.0, atol=1e-12)
+    assert_allclose(road.z(*WHEELS_M.T), 0.0, atol=1e-12)
+    assert_allclose(road.z(0.0, [-0.6, 0.6]), 0.0, atol=1e-12)
 
 
 @each_kind
@@ -53,22 +54,22 @@ def test_mesh_lies_on_the_road_with_normals_up(road: Road) -> None:
     assert 150_000 <= len(mesh.faces) <= 400_000 or (isinstance(road, Flat) and len(mesh.faces) < 10_000)
     np.testing.assert_array_equal(mesh.vertices[:, 2], road.z(mesh.vertices[:, 0], mesh.vertices[:, 1]))
     assert (mesh.face_normals[:, 2] > 0).all()
-    np.testing.assert_allclose(mesh.bounds[:, :2], np.stack([SCENE_X_M, SCENE_Y_M], axis=1))
+    assert_allclose(mesh.bounds[:, :2], np.stack([SCENE_X_M, SCENE_Y_M], axis=1))
 
 
 def test_heights_are_what_the_keys_say() -> None:
     assert Grade(grade_percent=2, crossfall_percent=3, start_x_m=10, curve_m=4).z(20.0, 1.0) == pytest.approx(0.02 * 8 + 0.03)
     bumps = Bumps(lowest_m=-0.02, highest_m=0.05)
     z = bumps.z(*np.meshgrid(np.linspace(12, 22, 101), np.linspace(-2, 2, 41)))
-    np.testing.assert_allclose([z.min(), z.max()], [-0.02, 0.05], atol=1e-12)
+    assert_allclose([z.min(), z.max()], [-0.02, 0.05], atol=1e-12)
     far = bumps.z(*np.meshgrid(np.linspace(22, 120, 500), np.linspace(-25, 25, 100)))
     assert far.min() > -0.0375 and far.max() < 0.0675  # a quarter of 7 cm beyond
     assert not np.allclose(z, Bumps(seed=2).z(*np.meshgrid(np.linspace(12, 22, 101), np.linspace(-2, 2, 41))))
     bump = SpeedBump()
-    np.testing.assert_allclose(bump.z([16.5, 16.75, 17.0, 17.5, 30.0], 3.0), [0.0, 0.04, 0.08, 0.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(Curb().z(17.0, [0.484, 0.5, 0.516]), [0.0, 0.05, 0.10])
-    np.testing.assert_allclose(Step(x_m=12, height_m=-0.3, ramp_m=0.5).z([11.74, 12.0, 12.26, 60.0], 2.0), [0.0, -0.15, -0.3, -0.3])
-    np.testing.assert_allclose(Pothole().z([17.0, 17.0, 17.5], [0.3, 0.8, 0.3]), [-0.06, 0.0, 0.0])
+    assert_allclose(bump.z([16.5, 16.75, 17.0, 17.5, 30.0], 3.0), [0.0, 0.04, 0.08, 0.0, 0.0], atol=1e-12)
+    assert_allclose(Curb().z(17.0, [0.484, 0.5, 0.516]), [0.0, 0.05, 0.10])
+    assert_allclose(Step(x_m=12, height_m=-0.3, ramp_m=0.5).z([11.74, 12.0, 12.26, 60.0], 2.0), [0.0, -0.15, -0.3, -0.3])
+    assert_allclose(Pothole().z([17.0, 17.0, 17.5], [0.3, 0.8, 0.3]), [-0.06, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("direction", [(1.0, 0.0), (0.0, 1.0), (np.sqrt(0.5), np.sqrt(0.5))], ids=["x", "y", "diagonal"])
@@ -85,7 +86,7 @@ def test_sections_have_the_density_of_their_class(direction: tuple[float, float]
     band = (frequency > 0.015) & (frequency < 2.83)
     ratio = np.mean(densities, axis=0)[band] / density("C", frequency[band])
     assert ratio.min() > 0.5 and ratio.max() < 2.0  # the class' limits, in every bin; measured 0.80 to 1.23
-    np.testing.assert_allclose(ratio.mean(), 1.0, atol=0.1)
+    assert_allclose(ratio.mean(), 1.0, atol=0.1)
 
 
 def scan(path: Path, **changes: object) -> Path:
@@ -102,7 +103,7 @@ def test_a_short_scan_lies_level_under_the_symbol_and_fades(tmp_path: Path) -> N
     road = OpenCrgRoad(file=str(scan(tmp_path / "short.crg")))
     x = np.linspace(12.5, 21.5, 200)
     # The mean plane takes a little of the ten waves' slope with it: 3 A / (10 pi) at the ends, 1.9 mm.
-    np.testing.assert_allclose(road.z(x, 0.0), 0.02 * np.sin(2 * np.pi * (x - 12)), atol=2e-3)
+    assert_allclose(road.z(x, 0.0), 0.02 * np.sin(2 * np.pi * (x - 12)), atol=2e-3)
     assert np.isfinite(road.z(np.linspace(-6, 120, 400)[:, None], np.linspace(-25, 25, 90))).all()
     assert np.abs(road.z([8.9, 25.1, 17.0, 0.0], [0.0, 0.0, 4.8, 0.0])).max() == 0.0
     border = road.z(np.linspace(8.0, 26.0, 4001), 0.0)
@@ -120,9 +121,9 @@ def test_a_heading_turns_the_scan_about_its_place(tmp_path: Path) -> None:
         turned = OpenCrgRoad(file=path, u_m=736.0, v_m=0.3, heading_deg=heading_deg)
         cos, sin = np.cos(np.deg2rad(heading_deg)), np.sin(np.deg2rad(heading_deg))
         ahead_m, left_m = x - 17, y
-        np.testing.assert_allclose(turned.z(x, y), straight.z(17 + cos * ahead_m - sin * left_m, sin * ahead_m + cos * left_m), atol=1e-9)
+        assert_allclose(turned.z(x, y), straight.z(17 + cos * ahead_m - sin * left_m, sin * ahead_m + cos * left_m), atol=1e-9)
     backwards = OpenCrgRoad(file=path, u_m=732.0, heading_deg=180.0).grid()  # 2 m of the scan lie ahead of its place, 8 m before it
-    np.testing.assert_allclose([backwards.x_m, backwards.y_m], [[9.0, 19.0], [-1.7, 1.7]])
+    assert_allclose([backwards.x_m, backwards.y_m], [[9.0, 19.0], [-1.7, 1.7]])
 
 
 def test_a_long_scan_is_seen_from_its_wheels(tmp_path: Path) -> None:
@@ -130,8 +131,8 @@ def test_a_long_scan_is_seen_from_its_wheels(tmp_path: Path) -> None:
     z = 0.05 * u[:, None] - 0.01 * v + 0.002 * np.maximum(u - 40, 0)[:, None] ** 2
     write_crg(tmp_path / "hill.crg", Crg(z=z, v=v, road={"reference_line_increment": 0.1}), "KDBI")
     road = OpenCrgRoad(file=str(tmp_path / "hill.crg"), u_m=47.0)
-    np.testing.assert_allclose(road.z(*WHEELS_M.T), 0.0, atol=1e-9)
-    np.testing.assert_allclose(road.z([10.0, 17.0, 20.0], 0.5), [0.0, 0.002 * 49, 0.002 * 100], atol=1e-9)
+    assert_allclose(road.z(*WHEELS_M.T), 0.0, atol=1e-9)
+    assert_allclose(road.z([10.0, 17.0, 20.0], 0.5), [0.0, 0.002 * 49, 0.002 * 100], atol=1e-9)
 
 
 def test_bad_roads_say_what_is_wrong(tmp_path: Path) -> None:
@@ -160,4 +161,4 @@ def test_class_values_are_those_of_the_standard() -> None:
     assert [GEOMETRIC_MEAN_M3[c] * 1e6 for c in "ABCDE"] == pytest.approx([16, 64, 256, 1024, 4096])
     x = np.linspace(0, 50, 99)
     for roughness_class, factor in zip("ABCDE", (1, 2, 4, 8, 16), strict=True):
-        np.testing.assert_allclose(roughness(roughness_class, 7, x, 0.3), factor * roughness("A", 7, x, 0.3))
+        assert_allclose(roughness(roughness_class, 7, x, 0.3), factor * roughness("A", 7, x, 0.3))

@@ -68,7 +68,7 @@ def on_and_on(vehicle: VehicleParams, road: Road, steps: int) -> tuple[Motion, f
     return motion, body_m, ground_m
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(CONTROLS, st.floats(1, 40), st.sampled_from([Flat(), Iso8608(roughness_class="C")]))
 def test_the_past_stays_to_the_bit_and_nothing_jumps(controls: list[tuple[float, float, int]], speed_m_s: float, road: Road) -> None:
     vehicle = driven_by([(0.0, 0.0, 2), *controls], speed_m_s)

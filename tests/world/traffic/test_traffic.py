@@ -102,7 +102,7 @@ def test_an_unknown_part_is_told_with_the_nearest():
 def test_parts_are_seen_as_they_are_given():
     body = made("pedestrian", 2, stance="standing", parts={"jacket": {"albedo": 0.77}, "head": {"material": "metal"}})
     moved = Scene((body,)).at(0.0).placed[0]
-    seen, _ = see(_at(body, 9.0))
+    seen = see(_at(body, 9.0))
     assert seen.part is not None and seen.finish is not None
     names = [part.name for part in moved.body.parts]
     jacket, head = (seen.part == names.index(name) for name in ("jacket", "head"))
@@ -124,9 +124,9 @@ def test_lamps_of_a_car_shine_and_light_what_is_before_them():
     params = {"name": "car", "style": "saloon", "track": ({"position_m": (20.0, 0.0, 0.0), "yaw_deg": 180},)}
     lit, parked = CarParams(**params).build(), CarParams(**params, lit=False).build()
     scene = Scene((lit,))
-    seen, _ = see(lit)
+    seen = see(lit)
     assert float(ambient_luminance(seen, 0.0).max()) == pytest.approx(3e4)
-    assert not ambient_luminance(see(parked)[0], 0.0).any() and not parked.spotlights
+    assert not ambient_luminance(see(parked), 0.0).any() and not parked.spotlights
     # a white plate square to the axis of a headlamp, 5 m before it
     lamp = scene.spotlights_at(0.0)[0]
     point = (lamp.position + 5 * lamp.axis).float()

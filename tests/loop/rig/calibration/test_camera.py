@@ -12,7 +12,7 @@ from luxloop.loop.rig.calibration.geometry import CameraModel
 from luxloop.loop.rig.calibration.intrinsics import BoardParams, Corners, brightness, corners, lens, picture, print_board, vignetting
 from luxloop.loop.rig.calibration.shots import response_curve
 from luxloop.loop.rig.simulated.faults import LensParams
-from luxloop.world.errors import LuxloopError
+from tests.refusal import refusal
 
 
 @pytest.mark.parametrize(("gamma", "levels", "black"), [(1.0, 4095, 64.0), (2.2, 255, 3.0)])
@@ -35,7 +35,7 @@ def test_response_is_found_from_exposures(gamma: float, levels: int, black: floa
 
 def test_too_short_a_series_is_told() -> None:
     frames = [np.full((20, 20), 100.0), np.full((20, 20), 200.0)]
-    with pytest.raises(LuxloopError, match="at least three exposures"):
+    with refusal("at least three exposures"):
         response_curve(frames, (0.5, 1.0), 255)
 
 
@@ -70,9 +70,9 @@ def test_corners_are_sharp_in_a_tilted_view() -> None:
 
 
 def test_too_large_a_board_and_another_format_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(LuxloopError, match="a3"):
+    with refusal("a3"):
         print_board(tmp_path / "board.pdf", BoardParams(square_mm=40), "a4")
-    with pytest.raises(LuxloopError, match=r"\.pdf or a \.png"):
+    with refusal(r"\.pdf or a \.png"):
         print_board(tmp_path / "board.svg", BoardParams(), "a4")
 
 

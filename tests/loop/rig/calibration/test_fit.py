@@ -16,7 +16,7 @@ from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.simulated import simulated_plant
 from luxloop.perception.camera import expose
 from luxloop.perception.noise import FrameNoise
-from luxloop.world.errors import LuxloopError
+from tests.refusal import refusal
 
 
 def scenario_with(values: Mapping[str, float]) -> Scenario:
@@ -80,5 +80,5 @@ def test_uncertainty_covers_what_is_not_fitted_and_the_residual_tells_of_it() ->
     [("camera.pich_deg", "no such key"), ("headlight.model", "is 'hd84', not a number")],
 )
 def test_what_cannot_be_fitted_is_named(key: str, told: str) -> None:
-    with pytest.raises(LuxloopError, match=told):
+    with refusal(told):
         fit(scenario_with, shown({}), {key: 0.1})

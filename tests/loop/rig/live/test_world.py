@@ -10,9 +10,9 @@ from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load, validate
 from luxloop.loop.simulation.digitised import DigitisedPlant
-from luxloop.world.errors import LuxloopError
 from luxloop.world.scene.vehicle import LateBody
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
+from tests.refusal import refusal
 
 
 def test_the_world_is_lit_by_measured_light() -> None:
@@ -54,7 +54,7 @@ def test_without_a_rig_it_is_checked_and_not_run(lux: Lux) -> None:
     code, _, error = lux("run", *given, "--out", "runs/none")
     assert code == 2 and "modules.left: is digitised from a real lamp" in error and not Path("runs").exists()
     assert_one_sentence(error)
-    with pytest.raises(LuxloopError, match=r"modules\.left: is digitised"):
+    with refusal(r"modules\.left: is digitised"):
         next(prepare(load("small.toml", ["modules.left.source=digitised"])).evaluations())
 
 

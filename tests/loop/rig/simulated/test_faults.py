@@ -6,7 +6,7 @@ import pytest
 
 from luxloop.loop.rig.simulated.faults import FaultParams, read
 from luxloop.loop.scenario.shipped import examples
-from luxloop.world.errors import LuxloopError
+from tests.refusal import refusal
 
 
 def test_a_file_and_changes_make_faults(tmp_path: Path) -> None:
@@ -32,7 +32,7 @@ def test_the_shipped_example_has_a_little_of_everything() -> None:
 )
 def test_mistakes_are_told(text: str, message: str, tmp_path: Path) -> None:
     (file := tmp_path / "mine.toml").write_text(text)
-    with pytest.raises(LuxloopError, match=message):
+    with refusal(message):
         read(file)
-    with pytest.raises(LuxloopError, match=r"--set faults.lens.blurr=1: lens.blurr: unknown key"):
+    with refusal(r"--set faults.lens.blurr=1: lens.blurr: unknown key"):
         read(None, ["faults.lens.blurr=1"])

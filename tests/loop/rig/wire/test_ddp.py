@@ -12,8 +12,8 @@ from luxloop.loop.rig.lights import DdpLight
 from luxloop.loop.rig.params import DdpLightParams
 from luxloop.loop.rig.wire import ddp
 from luxloop.loop.rig.wire.ddp import Assembler, LightFrame, packets
-from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import ModuleCommand
+from tests.refusal import refusal
 
 N = 4000  # pixels, three packets of 8 bits
 
@@ -93,7 +93,7 @@ def test_anything_else_is_refused() -> None:
     assembler = Assembler(N)
     assert not any(assembler.take(packet) for packet in bad)
     assert assembler.refused == len(bad)
-    with pytest.raises(LuxloopError, match="99 modules take"):
+    with refusal("99 modules take"):
         list(packets(frame(0), 1, (ModuleCommand(),) * 99))
 
 
