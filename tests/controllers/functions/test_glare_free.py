@@ -17,32 +17,11 @@ from luxloop.controllers.situation import Situation, TrackedObject
 from luxloop.world.frames import inverse, pose_from_degrees, transform
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.presets import idealised, lamp
-
-LAMPS = torch.tensor([[0.0, 0.6, 0.75], [0.0, -0.6, 0.75]], dtype=torch.float64)
-HERE = torch.eye(4, dtype=torch.float64)
-SIZE = (4.5, 1.8, 1.5)
+from tests.controllers.situations import HERE, LAMPS, car, now, surface
 
 
 def thousandths(most: float) -> st.SearchStrategy[float]:
     return st.integers(0, round(1000 * most)).map(lambda n: n / 1000)
-
-
-def car(x: float, y: float, yaw_deg: float = 180.0, **times: float) -> TrackedObject:
-    return TrackedObject("car", "car", pose_from_degrees((x, y, 0.0), yaw_deg=yaw_deg), SIZE, **times)
-
-
-def now(*objects: TrackedObject, time_s: float = 0.0) -> Situation:
-    return Situation(time_s, HERE, LAMPS, objects)
-
-
-def surface(each: TrackedObject, n: int = 12) -> Tensor:
-    """Points all over the surface of the box, corners and edges among them, `[3, N]` m."""
-    length, width, height = each.size_m
-    low, high = torch.tensor([-length / 2, -width / 2, 0.0]), torch.tensor([length / 2, width / 2, height])
-    origin, d1, d2 = cuboid(each.T_world_object, low, high)
-    s = torch.linspace(0, 1, n, dtype=torch.float64)
-    points = origin[:, None, None] + s[:, None, None] * d1[:, None, None] + s[:, None] * d2[:, None, None]
-    return points.reshape(-1, 3).T
 
 
 def enters(mask: Primitives, eye: Tensor, points: Tensor) -> Tensor:

@@ -10,14 +10,12 @@ from pydantic import ValidationError
 
 from luxloop.controllers.functions.planner import LightingParams, Planner
 from luxloop.controllers.pixels.ssc import Ssc
-from luxloop.controllers.situation import Situation, TrackedObject
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised
+from tests.controllers.situations import car, now
 from tests.refusal import refusal
 
-HERE = torch.eye(4, dtype=torch.float64)
-LAMPS = torch.tensor([[0.0, 0.6, 0.75], [0.0, -0.6, 0.75]], dtype=torch.float64)
-CAR = TrackedObject("car", "car", pose_from_degrees((40.0, 2.5, 0.0), yaw_deg=180), (4.5, 1.8, 1.5))
+CAR = car(40.0, 2.5)
 FUNCTIONS = {
     "guard": {"kind": "glare_free"},
     "borders": {"kind": "lane", "style": "lines", "priority": 5},
@@ -33,20 +31,20 @@ def find(tmp_path: Path):  # type: ignore[no-untyped-def]
 
 def test_all_functions_come_together(find) -> None:  # type: ignore[no-untyped-def]
     planner = Planner.prepare(FUNCTIONS, LightingParams(base={"beam": "high"}), find)
-    plan = planner.plan(Situation(0.0, HERE, LAMPS, (CAR,)))
+    plan = planner.plan(now(CAR))
     assert plan.base.name == "high" and plan.primitives is not None
     assert len(plan.primitives) == 6 + 2 + 1 and plan.primitives.origin.dtype == torch.float32
     assert plan.primitives.priority.tolist() == sorted(plan.primitives.priority.tolist())
     hires, lores = plan.for_module("left hires"), plan.for_module("left lores")
     assert hires is not None and lores is not None and (len(hires), len(lores)) == (9, 8)
-    nothing = Planner.prepare({"guard": {"kind": "glare_free"}}, LightingParams()).plan(Situation(0.0, HERE, LAMPS))
+    nothing = Planner.prepare({"guard": {"kind": "glare_free"}}, LightingParams()).plan(now())
     assert nothing.primitives is None and nothing.for_module("left") is None
 
 
 def test_a_symbol_is_never_drawn_on_a_masked_car(find) -> None:  # type: ignore[no-untyped-def]
     """However high its priority is, and though it is forced."""
     symbol = {"kind": "symbol", "image": "arrow", "x_m": 40.0, "y_m": 2.5, "width_m": 6, "length_m": 20, "priority": 100, "forced": True}
-    situation = Situation(0.0, HERE, LAMPS, (CAR,))
+    situation = now(CAR)
     masked, drawn = (
         Planner.prepare(functions, LightingParams(), find).plan(situation).primitives
         for functions in ({"guard": {"kind": "glare_free"}}, {"guard": {"kind": "glare_free"}, "arrow": symbol})

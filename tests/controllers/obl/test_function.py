@@ -14,7 +14,6 @@ from torch import Tensor
 from luxloop.controllers.functions.object_based import CELLS, NEAREST_M, ObjectBasedParams, ObjectBasedState, ObjectLightParams, frontal
 from luxloop.controllers.functions.object_loop import Ambient
 from luxloop.controllers.functions.objects import GlareFreeParams
-from luxloop.controllers.geometry import cuboid
 from luxloop.controllers.pixels.pixel_major import MrpcParams
 from luxloop.controllers.pixels.primitives import concatenate
 from luxloop.controllers.pixels.secondary import PotentialLight, SecondaryRays
@@ -24,8 +23,8 @@ from luxloop.perception.tracking import LINGER_S
 from luxloop.world.frames import inverse, pose_from_degrees, transform
 from luxloop.world.lamps.presets import lamp
 from luxloop.world.params import Params
+from tests.controllers.situations import HERE, car, surface
 
-HERE = torch.eye(4, dtype=torch.float64)
 PLACES = [pose_from_degrees((0.0, y, 0.65)) for y in (0.6, -0.6)]
 LAMPS = torch.stack([T[:3, 3] for T in PLACES])
 CONSTANT = ObjectBasedParams(method="constant", setpoint_lx=10.0)
@@ -36,21 +35,8 @@ def person(name: str = "person", x: float = 20.0, y: float = 1.0, **what: float)
     return TrackedObject(name, "pedestrian", pose_from_degrees((x, y, 0.0)), (0.4, 0.6, 1.7), **what)
 
 
-def car(x: float = 30.0, y: float = 3.0) -> TrackedObject:
-    return TrackedObject("car", "car", pose_from_degrees((x, y, 0.0), yaw_deg=180), (4.4, 1.8, 1.5))
-
-
 def now(*objects: TrackedObject, time_s: float = 0.0) -> Situation:
     return Situation(time_s, HERE, LAMPS, objects)
-
-
-def on_front(each: TrackedObject, low: float, high: float, n: int = 15) -> Tensor:
-    """Points `[3, N]` m of the box, all around, from one share of its height to another."""
-    length, width, height = each.size_m
-    bounds = torch.tensor([[-length / 2, -width / 2, low * height], [length / 2, width / 2, high * height]], dtype=torch.float64)
-    origin, d1, d2 = cuboid(each.T_world_object, bounds[0], bounds[1])
-    s = torch.linspace(0, 1, n, dtype=torch.float64)
-    return (origin[:, None, None] + s[:, None, None] * d1[:, None, None] + s[:, None] * d2[:, None, None]).reshape(-1, 3).T
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +65,7 @@ def test_the_body_gets_the_setpoint_and_the_head_none(shining, x: float) -> None
     front = torch.tensor([[x - 0.2] * 3, [0.85, 1.0, 1.15], [0.3, 0.5, 0.6]], dtype=torch.float64)
     assert blurred < 0.5
     torch.testing.assert_close(shining(CONSTANT, now(each), front), torch.full((3,), 10.0), rtol=0.08, atol=0)
-    assert shining(DARK, now(each), on_front(each, 0.85, 1.0), share=1.0).max() == 0
+    assert shining(DARK, now(each), surface(each, 0.85, 1.0), share=1.0).max() == 0
 
 
 def test_who_stands_before_a_windscreen_is_lit_and_it_stays_dark_beside(shining) -> None:  # type: ignore[no-untyped-def]
@@ -88,26 +74,26 @@ def test_who_stands_before_a_windscreen_is_lit_and_it_stays_dark_beside(shining)
     torso = torch.tensor([[14.8] * 3, [1.0] * 3, [0.9, 1.0, 1.1]], dtype=torch.float64)
     lit = shining(CONSTANT, now(near), torso)
     torch.testing.assert_close(shining(CONSTANT, now(far, near), torso), lit, rtol=0.2, atol=0)
-    beside = on_front(far, 1 - ObjectLightParams().dark["car"], 1.0)
+    beside = surface(far, 1 - ObjectLightParams().dark["car"], 1.0)
     beside = beside[:, (beside[1] / beside[0] - 1 / 15).abs() > 0.03]
     assert beside.shape[1] and shining(CONSTANT, now(far, near), beside, share=1.0).max() < 1
     gone = replace(near, score=math.nan)  # nobody may stand there any more
-    assert shining(CONSTANT, now(far, gone), on_front(far, 0.7, 1.0), share=1.0).max() < 1
+    assert shining(CONSTANT, now(far, gone), surface(far, 0.7, 1.0), share=1.0).max() < 1
 
 
 @pytest.mark.parametrize(("x", "height"), [(9.0, 1.7), (11.0, 1.9)])
 def test_a_head_at_the_upper_edge_of_the_light_gets_no_more_than_others(shining, x: float, height: float) -> None:  # type: ignore[no-untyped-def]
     """No pixel above takes a share there: without edge darkening (T 7.5.2) it would get 1.6 times as much. 5 % are the pixels' steps."""
     each = replace(person(x=x), size_m=(0.4, 0.6, height))
-    assert 0.9 < shining(CONSTANT, now(each), on_front(each, 0.8, 1.0)).max() / CONSTANT.light.dark_lx < 1.05
+    assert 0.9 < shining(CONSTANT, now(each), surface(each, 0.8, 1.0)).max() / CONSTANT.light.dark_lx < 1.05
 
 
 def test_light_on_a_deer_leaves_the_head_behind_its_back_dark(shining) -> None:  # type: ignore[no-untyped-def]
     """It carries its head beside its body, and the air above its back hides nobody."""
     deer = TrackedObject("deer", "animal", pose_from_degrees((8.2, -0.7, 0.0), yaw_deg=90), (1.8, 0.84, 1.3))
     far = person(x=11.7, y=-0.6)
-    assert shining(CONSTANT, now(deer, far), on_front(far, 0.85, 1.0)).max() < 1
-    assert shining(CONSTANT, now(deer), on_front(far, 0.85, 1.0)).max() > 2
+    assert shining(CONSTANT, now(deer, far), surface(far, 0.85, 1.0)).max() < 1
+    assert shining(CONSTANT, now(deer), surface(far, 0.85, 1.0)).max() > 2
 
 
 @settings(max_examples=15)
@@ -115,7 +101,7 @@ def test_light_on_a_deer_leaves_the_head_behind_its_back_dark(shining) -> None: 
 def test_heads_and_windscreens_stay_dark_wherever_the_object_is(shining, x: float, y: float, kind: str) -> None:  # type: ignore[no-untyped-def]
     """Over a beam of full light, all around the upper part of the box: `dark_lx`, or zero, not little, where that is asked for."""
     each = car(x, y) if kind == "car" else person(x=x, y=y)
-    eyes = on_front(each, 1 - 0.8 * ObjectLightParams().dark[each.category], 1.0)  # the rest is for the pixels' blur
+    eyes = surface(each, 1 - 0.8 * ObjectLightParams().dark[each.category], 1.0)  # the rest is for the pixels' blur
     assert shining(DARK, now(each), eyes, share=1.0).max() == 0
     assert shining(CONSTANT, now(each), eyes, share=1.0).max() < 1
 
@@ -126,15 +112,15 @@ def test_a_mask_beats_the_light_of_an_object_beside_it(shining) -> None:  # type
     for objects in ((child, person(x=22.0)), (car(25, 1), person(x=29.0, y=1.5))):
         for each in objects:
             dark = 1 - ObjectLightParams().dark[each.category]
-            assert shining(DARK, now(*objects), on_front(each, dark, 1.0)).max() == 0
+            assert shining(DARK, now(*objects), surface(each, dark, 1.0)).max() == 0
 
 
 @given(x=st.floats(4, 80), y=st.floats(-8, 8), yaw=st.floats(-180, 180))
 def test_the_rectangle_covers_the_box_seen_from_every_lamp(x: float, y: float, yaw: float) -> None:
-    each = replace(car(), T_world_object=pose_from_degrees((x, y, 0.0), yaw_deg=yaw))
-    low, high = torch.tensor([-2.2, -0.9, 0.0]), torch.tensor([2.2, 0.9, 1.5])
+    each = replace(car(0.0, 0.0), T_world_object=pose_from_degrees((x, y, 0.0), yaw_deg=yaw))
+    low, high = torch.tensor([-2.25, -0.9, 0.0]), torch.tensor([2.25, 0.9, 1.5])
     place = frontal(each.T_world_object, low, high, LAMPS, 0.0, 0.0)
-    points = on_front(each, 0.0, 1.0)
+    points = surface(each, 0.0, 1.0)
     ahead = -(place.normal @ (points - LAMPS.mean(0)[:, None])) if place else points[0]
     assert (place is None) <= bool(ahead.amin() < NEAREST_M + 2)
     if place is None:
@@ -164,7 +150,7 @@ def test_bad_values_are_refused_by_name(params: type[Params], given: dict[str, A
 
 def test_setpoints_follow_the_class() -> None:
     function = ObjectBasedParams(method="class", setpoints_lx={"pedestrian": 7.0}, setpoint_lx=2.0)
-    values = [part.value.item() for part in function.adapted(function.start(), now(person(), car()))]
+    values = [part.value.item() for part in function.adapted(function.start(), now(person(), car(30.0, 3.0)))]
     dark = function.light.dark_lx
     assert values == [7.0, 7.0, dark, 2.0, 2.0, dark]  # each on the whole and on its core
     assert function.base_share(function.start()) == function.share

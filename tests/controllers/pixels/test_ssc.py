@@ -8,9 +8,10 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.pixels.jpo import Jpo
-from luxloop.controllers.pixels.mrpc import same_for_all_pixels
+from luxloop.controllers.pixels.mrpc import MrpcParams, same_for_all_pixels
 from luxloop.controllers.pixels.primitives import Primitives, Quantity, concatenate, road_symbol
-from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.controllers.pixels.ssc import Ssc, WindowedSsc, serves
+from luxloop.controllers.pixels.windows import union
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised
 from luxloop.world.light.illumination import illuminance, lit_surface
@@ -113,3 +114,31 @@ def test_pose_gradients_are_those_of_differences(batch: tuple[int, ...]) -> None
     pose = torch.tensor([17.0, 0.2, 0.02, -0.03], dtype=torch.float64).expand(*batch, 4).clone().requires_grad_()
     # Bilinear kinks every 1/64 of the symbol and a border clamped over half a texel: a hundredth.
     assert torch.autograd.gradcheck(light, (pose,), eps=1e-5, rtol=0.01, atol=1e-3)
+
+
+@pytest.mark.parametrize(("quantity", "value"), [("u_abs", 0.8), ("I_v", 3000.0), ("E_v", 20.0)])
+@pytest.mark.parametrize("params", [MrpcParams(), MrpcParams(a_r=2.0), MrpcParams(a_d=1.5)])
+def test_utilisations_are_those_of_the_whole_lamp(quantity: Quantity, value: float, params: MrpcParams) -> None:
+    ssc = Ssc.prepare(LAMP, params)
+    primitives = [road_primitive(pose, quantity, value) for pose in (TARGET, (18.0, 0.4, 0.01, 0.0), (15.5, -0.3, -0.02, 0.0))]
+    assert serves(ssc, primitives[0], T_LEFT)
+    castings = [ssc.ray_batch(each, T_LEFT) for each in primitives]
+    part = WindowedSsc.of(ssc, union([each.window for each in castings]).widen(2, LAMP))
+    beside = torch.ones(LAMP.n_pixels, dtype=torch.bool)
+    beside[part.pixels] = False
+    assert beside.any(), "the window is a part of the lamp"
+    for each, casting in zip(primitives, castings, strict=True):
+        expected = ssc.utilisation(each, T_LEFT).u
+        assert expected.any() and not expected[beside].any()
+        # Sums of the same numbers, of which other kernels may take the order that suits them.
+        torch.testing.assert_close(part.utilisation(casting), expected[part.pixels], rtol=1e-6, atol=1e-7)
+
+
+def test_what_needs_more_than_a_windows_products_is_told() -> None:
+    one, dark = road_primitive(TARGET), Ssc.prepare(LAMP)
+    assert not serves(dark.over(torch.full((LAMP.n_pixels,), 0.1)), one, T_LEFT), "a base beam shines beside it"
+    assert not serves(dark, concatenate(one, one), T_LEFT)
+    mask = replace(one, value=torch.zeros_like(one.value), weight=torch.full_like(one.weight, torch.inf))
+    assert not serves(dark, mask, T_LEFT)
+    for params in (MrpcParams(a_ac=0.5), MrpcParams(sharpening=1.0), MrpcParams(corrections=1), MrpcParams(upper_cd=100.0)):
+        assert not serves(Ssc.prepare(LAMP, params), one, T_LEFT)

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from luxloop.controllers.pixels.mrpc import MrpcParams
 from luxloop.controllers.pixels.primitives import QUANTITIES, Observer, Primitives, concatenate, rectangle
-from luxloop.controllers.pixels.rthc import trace
 from luxloop.controllers.pixels.secondary import PotentialLight, SecondaryRays
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.world.frames import pose_from_degrees
@@ -155,26 +154,19 @@ def stacked(scenes: list[Primitives]) -> Primitives:
 @pytest.mark.parametrize("bounds", [{}, {"upper_cd": 400.0, "a_m": 0.5}], ids=["products", "entries"])
 @pytest.mark.parametrize("asks", [False, True], ids=["primary", "secondary"])
 def test_float32_on_every_device(asks: bool, a_x: float, bounds: dict[str, float], device: torch.device) -> None:
-    excepted = 0
+    off = 0
     for seed in range(15):
         light, A, scene, default = random_case(seed)
-        secondary, asked = random_secondary(np.random.default_rng(seed), light, A) if asks else (None, None)
+        secondary = random_secondary(np.random.default_rng(seed), light, A)[0] if asks else None
         params = MrpcParams(a_x=a_x, a_r=2, a_ac=0.2, **bounds)
-        rays = reference.trace(scene, light, T.numpy(), asked)
-        expected, close = reference.map_reduce(A, rays, params, default.numpy(), COLS)
+        exact = Ssc.prepare(light, params, default).utilisation(scene, T, secondary).u
         single = replace(light, matrix=light.matrix.to(torch.float32)).to(device)
-        there, place = scene.to(torch.float32).to(device), T.to(device)
-        u = Ssc.prepare(single, params, default.float().to(device)).utilisation(there, place, secondary).u
+        ssc = Ssc.prepare(single, params, default.float().to(device))
+        u = ssc.utilisation(scene.to(torch.float32).to(device), T.to(device), secondary).u
         assert (u.dtype, u.device.type) == (torch.float32, device.type)
-        seen = trace(there, single, place, secondary=secondary)
-        apart = (seen.hit.cpu().flatten().numpy() != [ray.hit for ray in rays]) | (
-            np.abs(seen.value.cpu().flatten().numpy() - [ray.value for ray in rays]) > 1e-3 * max(1.0, *(ray.value for ray in rays))
-        )
-        at_threshold = close | (A[apart] > 0).any(0)
-        excepted += at_threshold.sum()
-        np.testing.assert_allclose(u.cpu().numpy()[~at_threshold], expected[~at_threshold], rtol=0, atol=1e-5)
-    # Of 120 pixels: rays that hit an outline within a rounding.
-    assert excepted <= 4
+        off += ((u.cpu() - exact).abs() > 1e-5).sum()
+    # Of 120 pixels: rays that hit an outline, and light at a threshold, within a rounding.
+    assert off <= 4
 
 
 def test_gradients_in_many_primitives_are_those_of_differences() -> None:

@@ -1,4 +1,4 @@
-"""Boxes of parts become boxes of wholes: by their class, and by what was expected."""
+"""Boxes of parts become boxes of wholes, by their class and by what was expected; they are placed on the road, and found by their lamps."""
 
 import pytest
 import torch
@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 from torch.testing import assert_close
 
 from luxloop.perception.boxes import (
+    ABOVE_M,
+    FARTHEST_M,
     HEIGHTS_M,
     LEANS,
     LENGTH_M,
@@ -14,6 +16,7 @@ from luxloop.perception.boxes import (
     MISSING,
     USUAL_HEIGHTS_M,
     belonging,
+    by_lamps,
     complete,
     hiding,
     place_boxes,
@@ -22,6 +25,7 @@ from luxloop.perception.boxes import (
     uncut,
 )
 from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.world.frames import transform
 from luxloop.world.traffic.tracked import Category
 
 VIEW = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5))
@@ -114,3 +118,83 @@ def test_nobody_is_before_what_is_seen_whole() -> None:
     expected = torch.tensor([[100.0, 100, 140, 140], [100.0, 100, 140, 140]]).double()
     boxes = torch.tensor([[80.0, 80, 160, 170], [80.0, 80, 160, 130], [120.0, 80, 200, 170]]).double()
     assert torch.equal(hiding(boxes, expected, torch.tensor([True, False])), torch.tensor([[True, False, False], [False] * 3]))
+
+
+TURNED = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5, yaw_deg=3.0))
+
+
+def near_side(T: torch.Tensor, size: torch.Tensor) -> torch.Tensor:
+    """Middles `[3, 4]` m of the foot, the top, the left and the right edge of the side that looks at the camera."""
+    length, width, height = size.tolist()
+    edges = [[0.0, 0.0], [0.0, height], [width / 2, height / 2], [-width / 2, height / 2]]
+    return transform(T, torch.tensor([[-length / 2, y, z] for y, z in edges], dtype=torch.float64).T)
+
+
+@given(st.floats(6, 80), st.floats(-0.2, 0.2), st.floats(0.3, 2.5), st.floats(0.5, 2.2))
+def test_what_stands_on_the_road_comes_back(x: float, share: float, width: float, height: float) -> None:
+    """A plate that is turned to the camera: foot, height and width are its own."""
+    origin = TURNED.origin
+    foot = torch.tensor([x, share * x, 0.0], dtype=torch.float64)
+    ahead = torch.nn.functional.normalize(foot[:2] - origin[:2], dim=0)
+    aside = torch.tensor([-ahead[1], ahead[0], 0.0], dtype=torch.float64)
+    up = torch.tensor([0.0, 0.0, height], dtype=torch.float64)
+    (u, v), _ = TURNED.project(torch.stack([foot, foot + up, foot + aside * width / 2, foot - aside * width / 2], -1))
+    found = place_boxes(torch.tensor([[u[0] - (u[3] - u[2]) / 2, v[1], u[0] + (u[3] - u[2]) / 2, v[0]]]), ("pedestrian",), TURNED)
+    length = LENGTH_M["pedestrian"]
+    assert_close(near_side(found.T_world_box[0], found.size_m[0])[:, 0], foot, rtol=1e-5, atol=1e-5)
+    assert found.size_m[0, 0] == length
+    # Beside the middle of the image, where 12 deg away a pixel is 1 / cos^2 wide and top and foot are not above each other, 2 %
+    assert float(found.size_m[0, 1]) == pytest.approx(width, rel=0.05)
+    assert float(found.size_m[0, 2]) == pytest.approx(height, rel=0.05)
+
+
+def test_what_reaches_above_the_horizon_is_far_away() -> None:
+    found = place_boxes(torch.tensor([[300.0, 20.0, 340.0, 60.0]]), ("car",), TURNED)
+    away = (found.T_world_box[0, :2, 3] - TURNED.origin[:2]).norm()
+    assert float(away) == pytest.approx(FARTHEST_M + LENGTH_M["car"] / 2, rel=0.01)  # which is a depth, not a distance
+
+
+def test_boxes_stand_upright_and_look_at_the_camera() -> None:
+    found = place_boxes(torch.tensor([[100.0, 100.0, 140.0, 250.0], [500.0, 150.0, 600.0, 300.0]]), ("car", "sign"), TURNED)
+    R = found.T_world_box[:, :3, :3]
+    assert_close(R @ R.transpose(1, 2), torch.eye(3).double().expand(2, 3, 3))
+    assert_close(R[:, :, 2], torch.tensor([0.0, 0, 1]).double().expand(2, 3))
+    to_box = torch.nn.functional.normalize(found.T_world_box[:, :2, 3] - TURNED.origin[:2], dim=-1)
+    assert_close(R[:, :2, 0], to_box)
+    assert found.T_world_box[:, 2, 3].tolist() == [0.0, 0.0]
+    assert place_boxes(torch.zeros(0, 4), (), TURNED).T_world_box.shape == (0, 4, 4)
+    low = camera_view(CameraParams(width_px=640, height_px=360, z_m=0.0))
+    assert bool(place_boxes(torch.tensor([[300.0, 100.0, 340.0, 300.0]]), ("car",), low).T_world_box.isfinite().all())
+
+
+METRE = 20.0  # px
+BOX = torch.tensor([[100.0, 100.0, 136.0, 130.0]]).double()  # 1.8 m by 1.5 m
+NOBODY = torch.zeros(0, 4).double()
+
+
+def frame(*spots: tuple[int, int]) -> torch.Tensor:
+    """Dark, with bright spots of 3 px by 3 px around u and v."""
+    picture = torch.full((200, 300), 0.01)
+    for u, v in spots:
+        picture[v - 1 : v + 2, u - 1 : u + 2] = 1.0
+    return picture
+
+
+@pytest.mark.parametrize("moved", [(0, 0), (5, 3), (-8, 2)])
+def test_a_box_goes_where_both_lamps_are(moved: tuple[int, int]) -> None:
+    lamps = [(u + moved[0], 130 - round(ABOVE_M * METRE) + moved[1]) for u in (105, 130)]
+    found = by_lamps(frame(*lamps), BOX, torch.tensor([METRE]).double(), NOBODY)
+    wanted = BOX + torch.tensor([*moved, *moved])
+    torch.testing.assert_close(found, wanted.double(), rtol=0, atol=0.5)  # lamps are whole pixels, whose middles are half a pixel on
+
+
+def test_without_lamps_there_is_nothing_to_say() -> None:
+    metre = torch.tensor([METRE]).double()
+    assert bool(by_lamps(frame(), BOX, metre, NOBODY).isnan().all())
+    assert bool(by_lamps(frame((20, 20)), BOX, metre, NOBODY).isnan().all())  # far from the box
+    assert bool(by_lamps(frame((105, 118), (130, 118)), BOX, metre, BOX).isnan().all())  # somebody who is lit
+    assert bool(by_lamps(frame((112, 118), (124, 118)), BOX, metre, NOBODY).isnan().all())  # of somebody else, farther away
+    assert bool(by_lamps(frame((105, 118)), BOX, metre, NOBODY).isnan().all())  # one says little of where the car is
+    wide = frame(*((u, 118) for u in range(104, 134)))
+    assert bool(by_lamps(wide, BOX, metre, NOBODY).isnan().all())  # one light, not two
+    assert by_lamps(frame((118, 115)), NOBODY, metre[:0], NOBODY).shape == (0, 4)
