@@ -64,9 +64,7 @@ def test_a_symbol_is_found_as_it_is(name: str, params: ExtractionParams, device:
 def test_differences_are_signed(device: torch.device) -> None:
     camera = CameraParams()
     on, off = torch.full((2, 2), 10.0, device=device), torch.full((2, 2), 12.0, device=device)
-    assert (difference(on, off, camera) == -difference(off, on, camera)).all()
-    assert (difference(on, off, camera) < 0).all()
-    assert_close(difference(off, on, camera), luminance_of(off, camera) - luminance_of(on, camera))
+    assert_close(difference(on, off, camera), luminance_of(on, camera) - luminance_of(off, camera))
     assert not extracted(torch.zeros(2, 2, device=device), 4095 * torch.ones(2, 2, device=device), camera).any(), "shadows are no symbol"
 
 

@@ -4,11 +4,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from torch import Tensor
 
 from luxloop.controllers.pixels.jpo import Jpo, JpoParams
 from luxloop.controllers.pixels.primitives import Primitives, concatenate, rectangle
-from luxloop.controllers.pixels.secondary import PotentialLight, SecondaryRays
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.perception.metrics import mae, rmse
 from luxloop.world.frames import pose_from_degrees
@@ -17,6 +15,7 @@ from luxloop.world.lamps.presets import lamp
 from luxloop.world.spmv import multiply
 
 T_LAMP = pose_from_degrees((0.0, 0.6, 0.75))
+VECTORS = ("origin", "d1", "d2", "normal", "value", "weight")
 
 
 def on_a_wall(y_m: float = 0.5, value: float = 8000.0, quantity: str = "I_v", **given: float) -> Primitives:
@@ -79,8 +78,7 @@ def test_heavy_light_beside_a_mask_counts_a_thousandfold(hd84: Headlight, object
 def test_nothing_in_sight_leaves_the_default(hd84: Headlight, there_is: bool) -> None:
     default = torch.rand(84, generator=torch.Generator().manual_seed(2))
     scene = on_a_wall(y_m=60.0).select(torch.tensor([there_is]))
-    vectors = {name: getattr(scene, name) for name in ("origin", "d1", "d2", "normal", "value", "weight")}
-    batch = replace(scene, **{name: vector.expand(2, *vector.shape) for name, vector in vectors.items()})
+    batch = replace(scene, **{name: torch.stack(2 * [getattr(scene, name)]) for name in VECTORS})
     controllers = [Jpo.prepare(hd84, JpoParams(objective=objective), default) for objective in ("mae", "least_squares")]
     for controller in (Ssc.prepare(hd84, default=default), *controllers):
         assert torch.equal(controller.utilisation(scene, T_LAMP).u, default)
@@ -92,17 +90,8 @@ def test_a_batch_of_scenes_gives_what_each_gives(hd84: Headlight, device: torch.
     jpo = Jpo.prepare(hd84.to(device), JpoParams(iterations=400))
     places = [2.0, -1.0]
     alone = [jpo.utilisation(on_a_wall(y).to(device), T_LAMP).u for y in places]
-    one = on_a_wall()
-    shift = torch.tensor([[0.0, y - 0.5, 0.0] for y in places])[:, None]
-    batch = replace(
-        one,
-        origin=one.origin + shift,
-        d1=one.d1.expand(2, 1, 3),
-        d2=one.d2.expand(2, 1, 3),
-        normal=one.normal.expand(2, 1, 3),
-        value=one.value.expand(2, 1),
-        weight=one.weight.expand(2, 1),
-    ).to(device)
+    scenes = [on_a_wall(y) for y in places]
+    batch = replace(scenes[0], **{name: torch.stack([getattr(each, name) for each in scenes]) for name in VECTORS}).to(device)
     both = jpo.utilisation(batch, T_LAMP).u
     assert both.shape == (2, 84)
     for k, u in enumerate(alone):
@@ -118,17 +107,3 @@ def test_over_another_beam_it_is_as_if_prepared_for_it(hd84: Headlight) -> None:
     assert torch.equal(moved.full, anew.full)
     primitives = concatenate(on_a_wall(2.5, 0.4, "u_abs"), on_a_wall(-2.5, 1.5, "u_rel"))
     assert torch.equal(moved.utilisation(primitives, T_LAMP).u, anew.utilisation(primitives, T_LAMP).u)
-
-
-def test_rays_are_cast_once(hd84: Headlight) -> None:
-    """And ask what they hit once: SSC starts from the same setpoints as the optimisation."""
-    asked = []
-
-    def occluded(points: Tensor, target: Tensor) -> Tensor:
-        asked.append(points.shape[-1])
-        return torch.zeros(points.shape[-1], dtype=torch.bool)
-
-    secondary = SecondaryRays((("left", PotentialLight.of(hd84, T_LAMP)),), 0, occluded=occluded)
-    for controller in (Ssc.prepare(hd84), Jpo.prepare(hd84, JpoParams(iterations=1))):
-        controller.utilisation(on_a_wall(), T_LAMP, secondary)
-    assert len(asked) == 2

@@ -114,15 +114,6 @@ def test_a_batch_gives_what_its_entries_give(device: torch.device) -> None:
         assert_close(squares[k], least_squares(light.matrix, pixel_goal(light, textures[k]), 2000, 1e-8), rtol=0, atol=1e-4)
 
 
-def test_brighter_units_change_nothing() -> None:
-    """The steps have no unit: a lamp and setpoints in millicandela give the same utilisations."""
-    light, goal = random_problem(3)
-    found = least_error(light.matrix, goal, iterations=25, gap=None)
-    milli = light.matrix.with_values(light.matrix.values * 1000)
-    again = least_error(milli, replace(goal, target=goal.target * 1000), iterations=25, gap=None)
-    assert_close(again.u, found.u, rtol=0, atol=1e-9)
-
-
 @pytest.mark.parametrize("every", [1, 2])
 def test_free_pixels_reach_the_optimum_of_scipy_and_others_keep_their_light(every: int) -> None:
     light, goal = random_problem(4)

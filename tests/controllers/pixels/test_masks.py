@@ -57,15 +57,6 @@ def test_no_light_reaches_a_masked_body_however_thin_and_few_texels_more_are_dar
     assert (at + 0.5 >= low).all() and (at + 0.5 <= high + 1e-3).all()
 
 
-@pytest.mark.parametrize("weight", [1e12, 1e15, 1e30, 1e38])
-def test_heavy_light_beside_a_mask_is_neither_brighter_nor_dark(weight: float) -> None:
-    """All that is heavier than the default by far gives the same: its setpoint, in pixels that the mask leaves."""
-    dark, ssc = mask(0.3, -0.2, 0.4, 0.3), Ssc.prepare(LAMP)
-    expected, heavy = (ssc.utilisation(concatenate(board(0.0, 0.0, 8.0, 4.0, value=0.5, weight=each), dark), T).u for each in (1e9, weight))
-    assert ((expected > 0.4) & (expected < 0.5 + 1e-6)).any() and (expected == 0).any()
-    torch.testing.assert_close(heavy, expected, rtol=0, atol=1e-5)  # float32
-
-
 def test_infinite_beats_finite_and_forced_beats_near() -> None:
     near = board(0.0, 0.0, 100.0, 100.0, x=10.0, value=1.0, weight=1e6)
     far = board(0.0, 0.0, 100.0, 100.0, x=30.0, weight=math.inf)

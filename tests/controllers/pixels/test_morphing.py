@@ -8,9 +8,6 @@ from torch.testing import assert_close
 
 from luxloop.controllers.pixels.morphing import Morph, Morphing, bend, level, roll
 from luxloop.controllers.pixels.mrpc import MrpcParams
-from luxloop.controllers.pixels.primitives import rectangle
-from luxloop.controllers.pixels.ssc import Ssc
-from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised
 
 LAMP = idealised(20, 40)
@@ -82,13 +79,3 @@ def test_edge_darkening_spares_the_border_of_a_vignetted_field() -> None:
     assert plain[10, 1].item() == pytest.approx(1.0)
     assert dimmed[10, 1] < 0.5
     assert_close(dimmed[10, 16:24], plain[10, 16:24], rtol=0, atol=1e-6)
-
-
-def test_primitives_lie_over_the_morphed_beam() -> None:
-    moved = Morphing(LAMP, BEAM).utilisation(bend(math.radians(2.0)))
-    wall = [torch.tensor(v) for v in ((10.0, 0.5, 0.3), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (-1.0, 0.0, 0.0))]
-    half = rectangle(*wall[:3], 0.5, "u_rel", normal=wall[3])
-    u = Ssc.prepare(LAMP).over(moved).utilisation(half, pose_from_degrees((0.0, 0.0, 0.0))).u
-    inside = (slice(9, 12), slice(18, 22))
-    assert_close(u.view(20, 40)[inside], moved.view(20, 40)[inside] / 2, rtol=1e-4, atol=1e-5)
-    assert torch.equal(u.view(20, 40)[:, :10], moved.view(20, 40)[:, :10])

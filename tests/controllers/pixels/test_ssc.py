@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.pixels.jpo import Jpo
-from luxloop.controllers.pixels.mrpc import MrpcParams, same_for_all_pixels
+from luxloop.controllers.pixels.mrpc import MrpcParams
 from luxloop.controllers.pixels.primitives import Primitives, Quantity, concatenate, road_symbol
 from luxloop.controllers.pixels.ssc import Ssc, WindowedSsc, serves
 from luxloop.controllers.pixels.windows import union
@@ -77,14 +77,6 @@ def test_values_that_are_not_finite_are_refused(value: float) -> None:
         for scene in (broken, batch):
             with refusal(r"value is infinite or not a number; give a finite one"):
                 controller.utilisation(scene, T_LEFT)
-
-
-def test_a_share_beside_lux_costs_no_more_than_shares_alone() -> None:
-    """Only shares above one need the mapping entry by entry, which takes ten times as long."""
-    ssc = Ssc.prepare(LAMP, default=torch.full((LAMP.n_pixels,), 0.5))
-    for share in (0.5, 1.5):
-        scene = concatenate(road_primitive(TARGET, "u_rel", share), road_primitive(TARGET, "E_v", 5.0))
-        assert same_for_all_pixels(ssc.ray_batch(scene, T_LEFT), ssc.pixels, ssc.params, ssc.dark) == (share < 1)
 
 
 def test_the_road_gets_the_illuminance_that_was_asked_for() -> None:
