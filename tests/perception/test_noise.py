@@ -79,13 +79,6 @@ def test_moments_are_those_of_the_normal_distribution(power: int) -> None:
     assert abs(float((drawn() ** power).mean()) - moment(power)) < SIGMAS * error
 
 
-@pytest.mark.parametrize("z", [0.01, 0.5, 1.0, 2.0, 3.0, 4.0, 4.5])
-def test_as_much_lies_beyond_as_should(z: float) -> None:
-    p = math.erfc(z / math.sqrt(2))
-    beyond = float((drawn().abs() > z).sum())
-    assert abs(beyond - N * p) < SIGMAS * math.sqrt(N * p * (1 - p)) + 1  # counts are whole
-
-
 @pytest.mark.parametrize(
     "other", [(1, 0, 1), (1, 1, 0), (2, 0, 0), (1, 2**20, 0)], ids=["the other frame", "the next step", "the next seed", "a late step"]
 )

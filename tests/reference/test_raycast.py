@@ -118,14 +118,6 @@ def test_shadows_begin_at_the_foot_at_all_distances(road: Road, x_m: float, thic
     assert sees(triangles, WIDE.origin, face).all()
 
 
-def test_a_low_box_throws_a_shadow_of_the_right_length():
-    tip = 10.5 * 0.75 / (0.75 - 0.3)
-    x = torch.linspace(10.6, 25, 3000)
-    dark = x[~lit(scene_with(flat(), box(10.0, height_m=0.3)), on_road(x, 0.6))]
-    assert abs(dark.max() - tip) < 0.0048 + TOLERANCE_M  # the points' spacing
-    assert len(dark) == ((x >= dark.min()) & (x <= dark.max())).sum()
-
-
 def test_nothing_behind_a_lamp_is_in_the_way_nor_what_stands_behind_a_point():
     triangles = scene_with(flat(), box(-6.0), box(20.0))
     points = torch.tensor([[19.0, 0.6, 0.1], [30.0, 0.6, 30.0], [0.0, 0.6, 0.0], [25.0, 0.6, 0.0], [-9.0, 0.6, 0.0]]).T

@@ -20,9 +20,7 @@ VECTORS = ("origin", "d1", "d2", "normal", "value", "weight")
 
 def on_a_wall(y_m: float = 0.5, value: float = 8000.0, quantity: str = "I_v", **given: float) -> Primitives:
     """A rectangle of 3 m x 1 m on a wall 25 m ahead, at the lamp's height."""
-    width, height = torch.tensor([0.0, -3.0, 0.0]), torch.tensor([0.0, 0.0, 1.0])
-    origin = torch.tensor([25.0, y_m + 1.5, 0.25])
-    return rectangle(origin, width, height, value, quantity, normal=torch.tensor([-1.0, 0.0, 0.0]), **given)  # type: ignore[arg-type]
+    return rectangle((25.0, y_m + 1.5, 0.25), (0.0, -3.0, 0.0), (0.0, 0.0, 1.0), value, quantity, normal=(-1.0, 0.0, 0.0), **given)
 
 
 @pytest.fixture(scope="module")

@@ -89,13 +89,6 @@ def test_who_stands_before_a_windscreen_is_lit_and_it_stays_dark_beside(shining)
     assert shining(CONSTANT, now(far, gone), surface(far, 0.7, 1.0), share=1.0).max() < 1
 
 
-@pytest.mark.parametrize(("x", "height"), [(9.0, 1.7), (11.0, 1.9)])
-def test_a_head_at_the_upper_edge_of_the_light_gets_no_more_than_others(shining, x: float, height: float) -> None:  # type: ignore[no-untyped-def]
-    """No pixel above takes a share there: without edge darkening (T 7.5.2) it would get 1.6 times as much. 5 % are the pixels' steps."""
-    each = replace(person(x=x), size_m=(0.4, 0.6, height))
-    assert 0.9 < shining(CONSTANT, now(each), surface(each, 0.8, 1.0)).max() / CONSTANT.light.dark_lx < 1.05
-
-
 def test_light_on_a_deer_leaves_the_head_behind_its_back_dark(shining) -> None:  # type: ignore[no-untyped-def]
     """It carries its head beside its body, and the air above its back hides nobody."""
     deer = TrackedObject("deer", "animal", pose_from_degrees((8.2, -0.7, 0.0), yaw_deg=90), (1.8, 0.84, 1.3))

@@ -66,16 +66,3 @@ def test_morphs_add_up_and_batch() -> None:
     batch = morphing.utilisation(stacked)
     assert_close(batch[0], both, rtol=0, atol=1e-5)
     assert_close(batch[1], morphing.utilisation(bend(0.0)), rtol=0, atol=1e-5)
-
-
-def test_edge_darkening_spares_the_border_of_a_vignetted_field() -> None:
-    """A moved hot spot asks the weak border for more than it has: full pixels there make a bright band (T fig. 7.18)."""
-    vignette = torch.exp(-(torch.linspace(-2, 2, LAMP.pixel_cols) ** 2)).repeat(LAMP.pixel_rows)
-    weak = LAMP.matrix.with_values(LAMP.matrix.values * vignette[LAMP.matrix.indices.long()])
-    lamp = type(LAMP)(**{**vars(LAMP), "matrix": weak})
-    beam, moved = torch.ones(lamp.n_pixels), bend(math.radians(2.5))
-    plain = Morphing(lamp, beam, PLAIN).utilisation(moved).view(20, 40)
-    dimmed = Morphing(lamp, beam, MrpcParams(a_d=1.0)).utilisation(moved).view(20, 40)
-    assert plain[10, 1].item() == pytest.approx(1.0)
-    assert dimmed[10, 1] < 0.5
-    assert_close(dimmed[10, 16:24], plain[10, 16:24], rtol=0, atol=1e-6)

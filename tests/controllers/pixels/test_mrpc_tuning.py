@@ -120,9 +120,8 @@ def test_a_part_gives_the_light_of_the_whole(light: Headlight, wanted: torch.Ten
 def test_the_lamps_own_control_does_the_same(values: dict[str, Any], light: Headlight) -> None:
     """A primitive of constant luminous intensity across the lamp's axis lights the texels whose centres it covers."""
     left, bottom, width, height = 0.22, -0.06, 0.12, 0.06
-    origin = torch.tensor([10.0, 10 * left, 10 * (bottom + height)])
-    d1, d2, towards = (torch.tensor(v) for v in ([0.0, -10 * width, 0.0], [0.0, 0.0, -10 * height], [-1.0, 0.0, 0.0]))
-    primitive = rectangle(origin, d1, d2, 2.5, "I_v", normal=towards)
+    corner, d1, d2 = (10.0, 10 * left, 10 * (bottom + height)), (0.0, -10 * width, 0.0), (0.0, 0.0, -10 * height)
+    primitive = rectangle(corner, d1, d2, 2.5, "I_v", normal=(-1.0, 0.0, 0.0))
     y, z = light.tangents(torch.float32, torch.device("cpu"))
     inside = ((y < left) & (y > left - width)) & ((z > bottom) & (z < bottom + height))[:, None]
     some = part(light, 2.5 * inside.float())

@@ -21,12 +21,6 @@ LAMP = idealised(8, 20)
 T = pose_from_degrees((0.0, 0.0, 0.0))
 
 
-def wall(value: float = 0.5, half: float = 1.0):
-    """A homogeneous square, 10 m ahead."""
-    vectors = [torch.tensor(v) for v in ((10.0, half, half), (0.0, -2 * half, 0.0), (0.0, 0.0, -2 * half))]
-    return rectangle(*vectors, value, "u_abs", normal=torch.tensor([-1.0, 0.0, 0.0]))
-
-
 @pytest.mark.parametrize("sampling", get_args(Sampling))
 def test_samples_are_those_of_the_reference(sampling: str) -> None:
     light = lamp("hd84").modules[0].headlight
@@ -59,5 +53,6 @@ def test_a_rectangle_keeps_the_pixel_s_light_and_fills_its_box() -> None:
 
 def test_simplified_pixels_draw_a_homogeneous_wall() -> None:
     light = lamp("hd84").modules[0].headlight
-    u = Ssc.prepare(light, MrpcParams(shape="rectangle", mapping="direct", a_x=0.5)).utilisation(wall(0.5, half=100.0), T).u
+    wall = rectangle((10.0, 100.0, 100.0), (0.0, -200.0, 0.0), (0.0, 0.0, -200.0), 0.5, "u_abs", normal=(-1.0, 0.0, 0.0))
+    u = Ssc.prepare(light, MrpcParams(shape="rectangle", mapping="direct", a_x=0.5)).utilisation(wall, T).u
     torch.testing.assert_close(u, torch.full_like(u, 0.5), rtol=0, atol=1e-5)

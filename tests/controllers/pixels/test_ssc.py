@@ -14,8 +14,6 @@ from luxloop.controllers.pixels.ssc import Ssc, WindowedSsc, serves
 from luxloop.controllers.pixels.windows import union
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised
-from luxloop.world.light.illumination import illuminance, lit_surface
-from luxloop.world.rendering.gbuffer import GBuffer
 from tests.refusal import refusal
 
 LAMP = idealised(10, 16)
@@ -77,21 +75,6 @@ def test_values_that_are_not_finite_are_refused(value: float) -> None:
         for scene in (broken, batch):
             with refusal(r"value is infinite or not a number; give a finite one"):
                 controller.utilisation(scene, T_LEFT)
-
-
-def test_the_road_gets_the_illuminance_that_was_asked_for() -> None:
-    lamp = idealised(60, 40)
-    x, y = torch.meshgrid(torch.linspace(15, 19, 81), torch.linspace(-1, 1, 21), indexing="ij")
-    primitive = road_symbol(torch.tensor(TARGET), 0.0, 4.0, 8.0, torch.ones(1, 1), 1.5, "E_v")
-    u = Ssc.prepare(lamp).utilisation(primitive, T_LEFT).u
-    assert u.max() < 1
-    up = torch.zeros(3, *x.shape)
-    up[2] = 1
-    road = GBuffer(torch.stack([x, y, torch.zeros_like(x)]), up, torch.full_like(x, 0.2), torch.zeros_like(x, dtype=torch.int32))
-    light = illuminance(lit_surface(road, lamp, T_LEFT), lamp.light_texture(u))
-    # A pixel spans half a metre of road, over which the light needed for a constant illuminance changes by 3 x / 17 m, 10 %.
-    torch.testing.assert_close(light, torch.full((x.numel(),), 1.5), rtol=0.06, atol=0)
-    assert light.mean().item() == pytest.approx(1.5, rel=0.005)
 
 
 @pytest.mark.parametrize("batch", [(), (2,)])

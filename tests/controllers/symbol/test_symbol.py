@@ -30,7 +30,6 @@ from luxloop.perception.noise import FrameNoise
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised
 from luxloop.world.light.emitters import ambient_luminance
-from luxloop.world.light.illumination import added_light
 from luxloop.world.materials.library import RoadSurfaceParams
 from luxloop.world.rendering.gbuffer import flat_road
 from luxloop.world.symbols import load_still
@@ -103,16 +102,6 @@ def test_in_the_birds_eye_view_a_metre_is_a_metre(symbol: str) -> None:
     # Along the symbol there are some 40 px and lamp rows: a tenth of one over a probe of 0.6 m is 2 %, more with strokes across.
     assert_close(gains[:1], torch.tensor([-1.0]), rtol=0.04, atol=0)
     assert_close(gains[1:2], torch.tensor([-1.0]), rtol=0.01, atol=0)
-
-
-def test_the_light_of_two_lamps_adds_up_to_that_of_one() -> None:
-    both = sensor(n_lamps=2).model
-    lights = projector(n_lamps=2).light(TARGET)
-    parts = [added_light((t,), (light,), torch.zeros_like(both.limit)) for t, light in zip(both.transports, lights, strict=True)]
-    assert_close(both.luminance(lights), parts[0] + parts[1])
-    one = sensor().model.luminance(projector().light(TARGET))
-    # The setpoint is shared; the lamps see the symbol from 1.2 m apart, which changes cos / d^2 by less than a hundredth.
-    assert both.luminance(lights).sum().item() == pytest.approx(one.sum().item(), rel=0.02)
 
 
 # The sensor

@@ -8,24 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.presets import idealised
 
 
 def tan(degrees: float) -> float:
     return math.tan(math.radians(degrees))
-
-
-@pytest.fixture(scope="module")
-def thesis_lamp() -> Headlight:
-    return idealised()
-
-
-def test_overlap_is_minimal(thesis_lamp: Headlight) -> None:
-    entries_per_texel = thesis_lamp.matrix.values.shape[0] / thesis_lamp.matrix.n_rows
-    # Two of four texels along a pixel lie on its flanks; only the border of the lamp has fewer.
-    assert entries_per_texel == pytest.approx(1.5, rel=0.002)
-    assert thesis_lamp.matrix.values.min() > 0
 
 
 def test_pixels_are_row_major_from_the_top_left() -> None:

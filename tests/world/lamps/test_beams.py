@@ -77,15 +77,6 @@ def test_left_hand_traffic_gets_the_mirror_image() -> None:
     torch.testing.assert_close(ours, theirs, rtol=0.02, atol=50)
 
 
-@pytest.mark.parametrize("beam", PATTERNS)
-def test_a_coarse_lamp_gets_a_sensible_beam(beam: str) -> None:
-    hd84 = lamp("hd84")
-    (u,) = hd84.beam(beam)
-    light = hd84.intensity((u,), direction(torch.tensor([0.0, 0.0]), torch.tensor([-1.5, 2.0])))
-    assert float(light[0]) > 3000
-    assert (float(light[1]) > 1700) == (beam == "high")
-
-
 def test_limits_win_over_the_pattern_where_the_lamp_can_keep_them() -> None:
     lores = lamp("ssl-hd-lores")
     glaring = pattern("low").model_copy(update={"above_cd": 700.0})

@@ -144,9 +144,3 @@ def _rear_m(state) -> float:
 def test_times_must_ascend():
     with pytest.raises(ValidationError, match=r"course\n.*time_s must ascend"):
         driven((1, 20, 0), (1, 10, 0))
-
-
-def test_braking_takes_the_way_that_it_should():
-    motion = driven((0, 20, 0), (1, 20, 0), (5, 0, 0))
-    assert motion.at(9.0).T_world_ground[0, 3] == pytest.approx(20 + 40, abs=1e-6)
-    assert motion.at(3.0).acceleration_m_s2 == pytest.approx(-5)
