@@ -43,7 +43,6 @@ class Learning:
         return 0.0
 
     def step(self, state, now):
-        assert now.seen is not None
         return state + float(now.seen.luminance.mean())
 
     def adapted(self, state, now):

@@ -68,7 +68,6 @@ def test_the_observer_sees_what_he_shall_see(who: str, ssc: Ssc) -> None:
     observer = {"eye_m": eye_m, "centre_m": centre_m, "width_m": width_m, "height_m": height_m}
     now = Situation(0.0, torch.eye(4, dtype=torch.float64), T[None, :3, 3], symbols={"a": Still(image)})
     (p,) = SymbolFunctionParams(image="a", observer=observer).primitives(now)
-    assert p.observer is not None
     picture = [v[0] for v in (p.observer.eye, p.observer.origin, p.observer.d1, p.observer.d2)]
     u = ssc.utilisation(p.to(torch.float32), T).u
 

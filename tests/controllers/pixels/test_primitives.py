@@ -56,7 +56,6 @@ def test_observers_go_with_their_primitives() -> None:
     eye = torch.tensor([[-1.0, 0.0, 1.5]], dtype=torch.float64)
     seen = replace(board(10), observer=Observer(eye, eye + 1, eye + 2, eye + 3, torch.tensor([True])))
     both = concatenate(board(11), seen)
-    assert both.observer is not None
     assert both.observer.active.tolist() == [False, True]
     assert torch.equal(both.select(both.observer.active).observer.eye, eye)
     assert concatenate(board(10), board(11)).observer is None

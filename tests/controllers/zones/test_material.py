@@ -88,7 +88,6 @@ def test_the_first_light_that_is_meant_counts_and_albedo_chooses_too() -> None:
     now = seen()
     paint = MaterialParams(lights=[{"albedo": [0.5, 1.0], "lx": 9.0}, {"lx": 1.0}])
     state = paint.step(None, situation(seen=now))
-    assert state is not None
     assert state.lx[now.material == 1].unique().tolist() == [9.0] and state.lx[now.material == 0].unique().tolist() == [1.0]
     assert bool(state.lx[now.material == -1].isnan().all())
 

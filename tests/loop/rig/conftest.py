@@ -18,7 +18,6 @@ from typing import Any, Self
 
 import pytest
 
-from luxloop.loop.rig.lights import DdpLight
 from luxloop.loop.rig.params import RigParams
 from luxloop.loop.rig.rig import Rig
 from luxloop.world.validation import validate_model
@@ -126,7 +125,6 @@ class SimulatedRigProcess(Child):
         command = [*PROGRAM, "rig", "simulate", *arguments, *given]
         ctrl_c = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT, cwd=folder, preexec_fn=ctrl_c)
-        assert self.process.stdout is not None
         self.addresses = dict[str, str]()
         while "End it" not in (line := self.process.stdout.readline()):
             assert line, "the rig has not started"
@@ -147,7 +145,6 @@ class SimulatedRigProcess(Child):
 def watch_frames(rig: Rig) -> list[tuple[int, int, float]]:
     """Which picture a rig takes for which light from now on: time code, CRC-32 of the picture, and when it arrived."""
     taken, expose, light = list[tuple[int, int, float]](), rig.expose, rig.light
-    assert isinstance(light, DdpLight)
 
     def watched(*given: Any) -> Any:
         limited, frame = expose(*given)

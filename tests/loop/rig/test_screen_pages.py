@@ -27,11 +27,9 @@ class Page:
         assert eventually(lambda: self.there is not None, 5)
 
     def send(self, text: str) -> None:
-        assert self.there is not None
         self.there.send(text)
 
     def close(self) -> None:
-        assert self.there is not None
         self.there.close()
 
     def _run(self) -> None:

@@ -58,7 +58,6 @@ def run_on(rig_params: RigParams) -> tuple[list[Any], dict[str, Any], float]:
         summary = {**rig.statistics.summary(2), "interruptions": rig.keeper.interruptions, "judged": rig_evaluator.summary()}
     on, off = (each.lights for each in results[-1].exposures)
     evaluator = world.symbol.evaluator
-    assert evaluator is not None
     metrics = evaluator.evaluate(world.world.added(0.0, on, off, ()), 0.0)
     return taken, summary, float(metrics.iou)
 

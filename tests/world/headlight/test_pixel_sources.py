@@ -121,7 +121,6 @@ def test_npz_colours(tmp_path: Path) -> None:
     rgb = np.ones((*tensor.shape, 3)) * [4.0, 2.0, 0.0]
     np.savez(tmp_path / "t.npz", candela=tensor, horizontal_deg=H, vertical_deg=V, rgb=rgb)
     chroma = assemble(TableSource(path=tmp_path / "t.npz", rows=2).pixels(), GRID).chroma
-    assert chroma is not None
     share = np.array([2.0, 1.0, 0.0]) / (0.2126 * 2 + 0.7152)
     np.testing.assert_allclose(chroma, np.broadcast_to(share[:, None], chroma.shape), rtol=1e-9, atol=1e-12)
 

@@ -66,7 +66,6 @@ def test_the_cornering_light_lies_on_the_outside_and_the_lamp_can_bend_further_o
 
 def test_coloured_edges_keep_the_luminance() -> None:
     light = lamp("hd84", chromatic_shift=0.01).modules[0].headlight
-    assert light.chroma is not None
     # Sums of three float32 numbers of order one, the blue one up to 14.
     torch.testing.assert_close(torch.tensor(LUMINANCE) @ light.chroma, torch.ones(light.chroma.shape[1]), atol=3e-6, rtol=0)
     u = torch.rand(light.n_pixels, generator=torch.Generator().manual_seed(1))

@@ -64,7 +64,6 @@ def test_a_sign_shines_back_as_its_brdf_says_and_nothing_else_changes() -> None:
 
 def test_water_darkens_the_road_and_drowns_the_beads() -> None:
     dry, wet = road(markings=True, beads=True, grain=0.0).texture, road(markings=True, beads=True, grain=0.0, wet=1.0).texture
-    assert dry is not None and wet is not None
     assert_close(wet.albedo, WET.darken(dry.albedo))
     assert [material.retro > 0 for material in dry.materials] == [False, True]
     assert [material.retro > 0 for material in wet.materials] == [False, False]

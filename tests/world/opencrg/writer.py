@@ -48,7 +48,6 @@ def _header(crg: Crg, kind: str, reference: list[str]) -> str:
 
 
 def _binary(table: NDArray[np.float64], dtype: np.dtype | None) -> bytes:
-    assert dtype is not None
     data = table.astype(dtype).tobytes()
     padding = -len(data) % 80 // dtype.itemsize
     return data + np.full(padding, np.nan, dtype).tobytes()

@@ -42,7 +42,6 @@ def test_lm63(data_dir: Path, name: str) -> None:
         v, h, candela = np.array(expected[key]["rows"]).T
         np.testing.assert_allclose(d.at(v, h), candela, rtol=RTOL)
     if "tilt_data" in expected:
-        assert p.tilt_factors is not None
         assert p.tilt_factors.geometry == expected["tilt_data"]["geometry"]
         np.testing.assert_array_equal(p.tilt_factors.factors, expected["tilt_data"]["factors"])
 

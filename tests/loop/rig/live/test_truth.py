@@ -15,7 +15,6 @@ from luxloop.loop.rig.params import load_rig
 from luxloop.loop.rig.rig import await_camera, open_rig
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario import model
-from luxloop.loop.simulation.digitised import DigitisedPlant
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.perception.camera import camera_view
 from luxloop.world.headlight.lamp import Lamp, Module
@@ -104,7 +103,6 @@ def test_a_beam_is_digitised_within_three_percent_and_no_frame_is_wrong(rig: Sim
 
     scenario = model.load("wall.toml", ["modules.left.source=digitised"])
     own = prepare(scenario).plant
-    assert isinstance(own, DigitisedPlant)
     params, rng = load_rig(Path("rig.toml")), np.random.default_rng(0)
     with open_rig(params, grids_of(own.truth.modules), None, armed=True) as lab:
         assert await_camera(lab, 20)

@@ -9,7 +9,6 @@ import torch
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load, validate
-from luxloop.loop.simulation.digitised import DigitisedPlant
 from luxloop.world.scene.vehicle import LateBody
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
 from tests.refusal import refusal
@@ -20,7 +19,6 @@ def test_the_world_is_lit_by_measured_light() -> None:
     simulated = prepare(validate(SMALL, "small"))
     digitised = prepare(validate({**SMALL, "modules": {"left": {"source": "digitised"}}}, "small"))
     plant = digitised.plant
-    assert isinstance(plant, DigitisedPlant)
     light = simulated.modules[0].headlight
     u = torch.zeros(light.n_pixels)
     u[7_500:12_500] = 0.5
@@ -38,7 +36,6 @@ def test_the_body_is_late_and_the_way_is_not() -> None:
     keys = ("steps=4", "modules.left.source=digitised", "modules.left.latency_s=0.1")
     now, late = (load("driving", [*keys, f"modules.left.delay_body={each}", "renderer=raycast"]) for each in ("false", "true"))
     driven, delayed = (prepare(each).plant for each in (now, late))
-    assert isinstance(driven, DigitisedPlant) and isinstance(delayed, DigitisedPlant)
     assert isinstance(delayed.night.world.motion, LateBody) and delayed.late == round(0.1 * now.rate_hz) * len(now.shares)
     a, b, before = driven.night.world.motion.at(0.15), delayed.night.world.motion.at(0.15), driven.night.world.motion.at(0.05)
     assert torch.equal(a.T_world_ground, b.T_world_ground) and torch.allclose(b.T_ground_body, before.T_ground_body, atol=1e-9)
