@@ -6,9 +6,9 @@ from typing import Any
 from tests.refusal import sentence
 
 
-def variant(base: type, name: str, **methods: Any) -> type:
+def variant(base: type, **methods: Any) -> type:
     """A class like another one but for some methods, as if it were written beside it."""
-    return type(name, (base,), {"__module__": base.__module__, **methods})
+    return type("Own", (base,), {"__module__": base.__module__, **methods})
 
 
 def assert_refused(check: Callable[[type], None], broken: type, key: str, kind: str) -> None:
