@@ -80,6 +80,10 @@ def _either(data: bytes, rng: random.Random) -> bytes:
     return rng.choice((_text, mutations.of_bytes))(data, rng)
 
 
+def _archive_or(other: Damage) -> Damage:
+    return lambda data, rng: (mutations.of_archive if data.startswith(b"PK") else other)(data, rng)
+
+
 def _nested(data: bytes, rng: random.Random) -> bytes:
     return json.dumps(mutations.of_tables(json.loads(data), rng)).encode()
 
@@ -238,10 +242,6 @@ def _tables(folder: Path) -> dict[str, bytes]:
     )
 
 
-def _damaged_table(data: bytes, rng: random.Random) -> bytes:
-    return mutations.of_archive(data, rng) if data.startswith(b"PK") else _text(data, rng)
-
-
 _HEAD = ["maker", "1", "1", "4", "90", "3", "45", "report", "lamp", "no", "file", "date", *(["100"] * 9), "100", "100", "1", "0"]
 _LIGHT = ["1", "1", "LED", "1000", "white", "80", "10", *(["0.5"] * 10), "0", "90", "180", "270", "0", "45", "90", *(["100.5"] * 3)]
 LDT = "\n".join([*_HEAD, *_LIGHT]).encode()
@@ -317,7 +317,7 @@ def _utilisations(folder: Path) -> dict[str, bytes]:
 def _damaged_utilisation(data: bytes, rng: random.Random) -> bytes:
     if data.startswith(b"\x93NUMPY"):
         return rng.choice((mutations.of_array, mutations.of_bytes))(data, rng)
-    return _damaged_table(data, rng)
+    return _archive_or(_text)(data, rng)
 
 
 def _weights(folder: Path) -> dict[str, bytes]:
@@ -350,10 +350,6 @@ def _frames(folder: Path) -> dict[str, bytes]:
         ("light.npz", lambda path: frames.write_light(path, light)),
         ("frame.png", lambda path: frames.write_image(path, torch.full((90, 160), 4095.0), 12)),
     )
-
-
-def _damaged_frames(data: bytes, rng: random.Random) -> bytes:
-    return (mutations.of_archive if data.startswith(b"PK") else mutations.of_bytes)(data, rng)
 
 
 def _read_frames(path: Path) -> None:
@@ -400,7 +396,7 @@ ALL: dict[str, Kind] = {
     "data set": Kind(lambda folder: {"d.toml": DATASET}, _text, lambda path: dataset.read(path, 1), 1),
     "lamp description": Kind(lambda folder: {"lamp.toml": LAMP}, _text, description.build, 6),
     "lamp file": Kind(_lamp_files, mutations.of_archive, _read_lamp, 12),
-    "table": Kind(_tables, _damaged_table, lambda path: TableSource(path=path, rows=2).pixels(), 8),
+    "table": Kind(_tables, _archive_or(_text), lambda path: TableSource(path=path, rows=2).pixels(), 8),
     "photometry": Kind(_photometry, _text, read_photometry, 8),
     "road": Kind(_roads, _damaged_road, _read_road, 12),
     "picture": Kind(_pictures, mutations.of_bytes, load_still, 8),
@@ -409,7 +405,7 @@ ALL: dict[str, Kind] = {
     "utilisations": Kind(_utilisations, _damaged_utilisation, lambda path: read_utilisation(path, 3, 4), 8),
     "weights": Kind(_weights, mutations.of_archive, lambda path: network.load(path, torch.device("cpu")), 2),
     "recording": Kind(_parquet, mutations.of_bytes, _read_recording, 6),
-    "frames": Kind(_frames, _damaged_frames, _read_frames, 6),
+    "frames": Kind(_frames, _archive_or(mutations.of_bytes), _read_frames, 6),
     "jobs": Kind(lambda folder: {"jobs.jsonl": JOBS}, _either, lambda path: run_jobs(dict, [], path, version=""), 4),
     "calibration": Kind(_calibration, _either, calibrations.load, 4),
     "lens": Kind(_calibration, _either, load_lens, 2),

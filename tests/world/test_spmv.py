@@ -1,5 +1,6 @@
 """Sparse products, their memory, and utilisations that come closest to wanted light."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -65,16 +66,10 @@ def test_large_arrays_lie_in_large_pages() -> None:
     used = torch.ones(16 * LARGE, dtype=torch.uint8)  # small pages, for malloc to hand out again
     del used
     tensor = zeros((16 * LARGE,), torch.uint8, torch.device("cpu")).fill_(1)
-    flags = Path("/proc/self/smaps").read_text().split("\n")
-    address = tensor.data_ptr()
-    inside = False
-    for line in flags:
-        first = line.split(" ", 1)[0]
-        if "-" in first and ":" not in first:
-            low, high = (int(part, 16) for part in first.split("-"))
-            inside = low <= address < high
-        elif inside and line.startswith("VmFlags:"):
-            assert "hg" in line.split()
+    for mapping in re.split(r"^(?=[0-9a-f]+-[0-9a-f]+ )", Path("/proc/self/smaps").read_text(), flags=re.M)[1:]:
+        low, high = (int(part, 16) for part in mapping.split(" ", 1)[0].split("-"))
+        if low <= tensor.data_ptr() < high:
+            assert "hg" in mapping.rpartition("VmFlags:")[2].split()
             return
     pytest.fail("the array is in no mapping")
 
