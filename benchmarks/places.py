@@ -6,6 +6,7 @@ earlier run in the same folder was. `--quick`: about an eighth of the worlds. Pr
 
 from argparse import Namespace
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -131,7 +132,8 @@ def goals(given: Namespace, rows: pd.DataFrame) -> list[Goal]:
 def by_share(given: Namespace, rows: pd.DataFrame) -> pd.DataFrame:
     """What becomes of luxloop's symbol where less of it can be seen, counted by visible share."""
     rows = rows[rows["visible"] < given.bins[-1]]
-    bins = pd.cut(rows["visible"], given.bins, right=False)
+    labels = [f"{low:g} to {high:g}" for low, high in pairwise(given.bins)]
+    bins = pd.cut(rows["visible"], given.bins, right=False, labels=labels)
     outcome = np.select([rows.eval(holds) for holds in given.outcomes.values()], list(given.outcomes), default="")
     counts = pd.crosstab(bins, outcome).reindex(columns=list(given.outcomes), fill_value=0)
     counts.insert(0, "worlds", counts.sum(axis=1))
