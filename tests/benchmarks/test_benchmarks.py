@@ -152,7 +152,7 @@ def test_hills_have_curves_of_their_radius() -> None:
 
 
 def test_lamps_are_those_of_the_tables() -> None:
-    assert [lamps.adaptive_side(cols) for _, cols in spmv.SIZES] == [256, 576, 1728, 3008, 3840]
+    assert [lamps.adaptive_side(cols) for _, cols in bench.cases(spmv.measure).sizes] == [256, 576, 1728, 3008, 3840]
     lengths = lamps.thesis_lamp(45, 90, 512).matrix.indptr.diff().double()
     # A pixel of pitch p overlaps a quarter into its neighbours, so that it lights (1.25 p)^2.
     assert float(lengths[lengths > 0].mean()) == pytest.approx(1.25**2, rel=0.03)
