@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import pandas as pd
 import torch
@@ -84,7 +84,11 @@ def run(measure: Measure, about: str | None, *options: str, threads: Sequence[st
     if given.json:
         given.json.write_text(json.dumps({"machine": where, **found}, indent=1) + "\n", "utf-8")
     if failures := found.get("failures"):
-        sys.exit("\n".join(f"failed: {key}: {reason}" for key, reason in failures.items()))
+        _fail(failures)
+
+
+def _fail(failures: Mapping[str, str]) -> NoReturn:
+    sys.exit("\n".join(f"failed: {key}: {reason}" for key, reason in failures.items()) or "nothing was measured")
 
 
 def show(title: str, rows: Mapping[str, Mapping[str, Any]]) -> None:
@@ -191,4 +195,6 @@ def study(
     results = run_jobs(
         function, todo, Path(given.out) / "jobs.jsonl", version=code, executor=local(given.jobs or None), title=function.__name__
     )
+    if not results.rows:
+        _fail(results.failures)
     return {row["key"]: row for row in results.rows}, results.failures
