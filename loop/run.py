@@ -90,7 +90,7 @@ def run(  # noqa: PLR0913 (each value stands by itself)
     first step is done.
     """
     # What records, for which a preparation alone does not wait.
-    from luxloop.loop.recording.recorder import Recorder, refuse_foreign
+    from luxloop.loop.recording.recorder import Recorder, refuse_other_files
     from luxloop.loop.recording.video import VideoWriter
     from luxloop.loop.report.highlights import Highlights
     from luxloop.loop.report.picture import frame_picture, white_of
@@ -111,7 +111,7 @@ def run(  # noqa: PLR0913 (each value stands by itself)
         raise LuxloopError(f"{folder}: is the recording that is played, which this run would replace; give another folder with --out")
     folder = Path(folder)
     with output_folder(folder), ExitStack() as stack:
-        refuse_foreign(folder)
+        refuse_other_files(folder)
         simulation, white = prepare(scenario, device), None
         if plant is not None:
             simulation = replace(simulation, plant=plant(simulation))

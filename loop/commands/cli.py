@@ -31,7 +31,6 @@ from luxloop.loop.commands.options import (
     Json,
     Keys,
     Seed,
-    recorded_scenario_of,
     scenario_of,
 )
 from luxloop.loop.commands.rig import rig_app
@@ -287,7 +286,7 @@ def run(
     if twin and not arm:
         raise LuxloopError("--twin compares what a lit rig shows with the simulation; give --rig FILE and --arm as well")
     given |= {} if rig is None else {"plant": {"kind": "rig"}}
-    scenario = (recorded_scenario_of if itself else scenario_of)(name, set, controller, allow_code=allow_code, **given)
+    scenario = scenario_of(name, set, controller, itself, allow_code, **given)
     if scenario.digitised_module is not None and rig is None and plant is None:
         from luxloop.loop.simulation.digitised import needs_rig
 

@@ -32,31 +32,22 @@ Weight = Annotated[float, within(gte=0, lt=math.inf)]
 Device = Literal["auto", "cpu", "cuda"]
 
 
-def scenario_of(name: str, set: Sequence[str] | None, controller: str | None = None, **given: Any) -> "Scenario":
-    """Read a scenario by shipped name or path. set: overrides of keys. controller: name of another controller, with its defaults. given:
-    other arguments of `load`.
-
-    Raises LuxloopError; for an unknown name before the import of the model, which takes seconds.
-    """
-    find(name)
-    from luxloop.loop.scenario.model import load
-
-    if controller is not None:
-        given["controller"] = {"name": controller}
-    return load(name, set or [], **given)
-
-
-def recorded_scenario_of(
-    folder: str, set: Sequence[str] | None, controller: str | None = None, *, allow_code: bool = False, **given: Any
+def scenario_of(
+    name: str, set: Sequence[str] | None, controller: str | None = None, recorded: bool = False, allow_code: bool = False, **given: Any
 ) -> "Scenario":
-    """The scenario at the beginning of a recorded run. set, controller, given: as of `scenario_of`.
+    """Read a scenario by shipped name or path, or the scenario at the beginning of a recorded run by the recording's folder.
 
-    Raises LuxloopError as `load`, and where the folder is no recording.
+    set: overrides of keys. controller: name of another controller, with its defaults. given: top-level keys. Raises LuxloopError as `load`;
+    for an unknown name before the import of the model, which takes seconds; and where a folder is no recording.
     """
-    from luxloop.loop.recording.manifest import Manifest
-    from luxloop.loop.scenario.model import load_data
+    if not recorded:
+        find(name)
+    from luxloop.loop.scenario.model import load, load_data
 
     if controller is not None:
         given["controller"] = {"name": controller}
-    data = Manifest.read(Path(folder)).scenario
-    return load_data(data, Path(folder), set or [], given, allow_code=allow_code)
+    if not recorded:
+        return load(name, set or [], allow_code=allow_code, **given)
+    from luxloop.loop.recording.manifest import Manifest
+
+    return load_data(Manifest.read(Path(name)).scenario, Path(name), set or [], given, allow_code=allow_code)

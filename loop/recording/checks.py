@@ -1,7 +1,7 @@
 """The checks of a run: bounds on columns of its recording, some in comparison with the same world under a baseline's light."""
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import get_args
 
 import numpy as np
@@ -9,7 +9,6 @@ import pyarrow as pa
 
 from luxloop.loop.recording.summary import Summary, column
 from luxloop.loop.scenario.checks import Baseline, By, CheckParams
-from luxloop.world.errors import LuxloopError, did_you_mean
 
 ROUNDING_S = 1e-6  # at the ends of a window, for sums of periods and clocks that count from 1970
 NOTHING = "nothing was there to check"
@@ -68,35 +67,6 @@ def ratio(value: float | None, other: float | None) -> float | None:
 def baselines(checks: Mapping[str, CheckParams]) -> tuple[Baseline, ...]:
     """Baselines that checks compare with, each once."""
     return tuple(dict.fromkeys(check.compare for check in checks.values() if check.compare is not None))
-
-
-def refuse_unknown(checks: Mapping[str, CheckParams], schema: pa.Schema, compared: Collection[str], detected: Collection[str] = ()) -> None:
-    """Raises LuxloopError where a check names no numeric column of the recording, or compares one that the baseline's recording lacks.
-
-    compared: columns that the baselines' recordings have as well. detected: columns of a recording with a detector.
-    """
-    known = [field.name for field in schema if field.type != pa.string()]
-    for name, check in checks.items():
-        where = f"checks.{name}.metric: {check.metric!r}"
-        if check.metric not in known and check.metric in detected and check.metric not in schema.names:
-            raise LuxloopError(f'{where} is recorded with a [detector] alone; give one, kind = "truth" say, which knows all objects')
-        if check.metric not in known:
-            raise LuxloopError(
-                f"{where} is not a numeric column of the recording; {did_you_mean(check.metric, known, _alternatives(check.metric, known))}"
-            )
-        if check.compare is not None and check.metric not in compared:
-            raise LuxloopError(
-                f"{where} exists only with lighting functions, so {check.compare} has nothing to compare it with; take a column "
-                "of lamps or objects, or leave compare out"
-            )
-
-
-def _alternatives(metric: str, known: Sequence[str]) -> str:
-    """Known columns of the same table or with the same last part; if there are none, all columns, one word a table."""
-    table, dot, _ = metric.partition(".")
-    alike = [name for name in known if (name.startswith(f"{table}.") if dot else name.endswith(f".{metric}"))]
-    tables = dict.fromkeys(f"{name.rpartition('.')[0]}.*" if "." in name else name for name in known)
-    return f"known are {', '.join(alike or tables)}"
 
 
 def success(summary: Summary) -> bool:

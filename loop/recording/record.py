@@ -1,19 +1,20 @@
 """Rows of a recording, one a step: lamps, objects, lighting functions and symbols; and the schema of their columns."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import pyarrow as pa
 import torch
 
-from luxloop.loop.recording.checks import baselines, refuse_unknown
+from luxloop.loop.recording.checks import baselines
 from luxloop.loop.simulation.columns import AIM, CENTROIDS, CUT, ERRORS, LOOKING_OF_TRUTH, POSE, SYMBOL, loss_name
 from luxloop.loop.simulation.commanded import moved
 from luxloop.loop.simulation.evaluator import Evaluation, SymbolStep
 from luxloop.loop.simulation.light_figures import quantities
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.metrics import Metrics
-from luxloop.world.errors import locate
+from luxloop.world.errors import LuxloopError, did_you_mean, locate
 
 # by the last part of a column's name; all other columns are float64
 TYPES = {
@@ -206,9 +207,34 @@ def of_symbol(held: SymbolStep) -> dict[str, Any]:
 
 
 def refuse_unknown_columns(simulation: Simulation) -> None:
-    """Raises LuxloopError where a check names a missing column or baseline, or one that the plant does not know."""
+    """Raises LuxloopError where a check names no numeric column of the recording, a missing baseline, or compares a column that the
+    baseline's recording lacks.
+    """
     scenario = simulation.scenario
     with locate(scenario.source):
+        detected, columns = schema(simulation, detects=True).names, schema(simulation)
+        known = [field.name for field in columns if field.type != pa.string()]
         others = {*LEARNING}.union(*(schema(simulation.lit_by(light)).names for light in baselines(scenario.checks)))
         compared = others - {"dark_lx_max", "road_lx_ratio_max"}  # under a baseline's light nothing must be dark
-        refuse_unknown(scenario.checks, schema(simulation), compared, schema(simulation, detects=True).names)
+        for name, check in scenario.checks.items():
+            where = f"checks.{name}.metric: {check.metric!r}"
+            if check.metric not in known:
+                if check.metric in detected and check.metric not in columns.names:
+                    raise LuxloopError(
+                        f'{where} is recorded with a [detector] alone; give one, kind = "truth" say, which knows all objects'
+                    )
+                hint = did_you_mean(check.metric, known, _alternatives(check.metric, known))
+                raise LuxloopError(f"{where} is not a numeric column of the recording; {hint}")
+            if check.compare is not None and check.metric not in compared:
+                raise LuxloopError(
+                    f"{where} exists only with lighting functions, so {check.compare} has nothing to compare it with; take a column "
+                    "of lamps or objects, or leave compare out"
+                )
+
+
+def _alternatives(metric: str, known: Sequence[str]) -> str:
+    """Known columns of the same table or with the same last part; if there are none, all columns, one word a table."""
+    table, dot, _ = metric.partition(".")
+    alike = [name for name in known if (name.startswith(f"{table}.") if dot else name.endswith(f".{metric}"))]
+    tables = dict.fromkeys(f"{name.rpartition('.')[0]}.*" if "." in name else name for name in known)
+    return f"known are {', '.join(alike or tables)}"

@@ -146,7 +146,7 @@ class Recorder:
         self._next_write_s = 0.0
         self._begun, self._edits_written = False, list[Edit]()
         self.summary = dict[str, Any]()
-        refuse_foreign(directory)
+        refuse_other_files(directory)
 
     def __enter__(self) -> Self:
         return self
@@ -230,7 +230,7 @@ def _remove(directory: Path) -> None:
         (directory / name).unlink(missing_ok=True)
 
 
-def refuse_foreign(directory: Path) -> None:
+def refuse_other_files(directory: Path) -> None:
     """Raises LuxloopError where the directory holds anything but a recording, or cannot be written."""
     with writing(directory):
         with tempfile.TemporaryFile(dir=next(each for each in (directory, *directory.parents) if each.exists())):

@@ -124,7 +124,7 @@ def load(directory: Path) -> Recording:
     return Recording(manifest, scenario, table, edits)
 
 
-def refuse_foreign(directory: Path, scenario: Scenario, edits: Iterable[Edit]) -> None:
+def refuse_recorded_code(directory: Path, scenario: Scenario, edits: Iterable[Edit]) -> None:
     """Raises LuxloopError where a recording's scenario or one of the edits names a Python module."""
     refuse_code(scenario, str(directory / MANIFEST))
     for edit in edits:
@@ -166,7 +166,7 @@ def replay(
     if recording.table.num_rows == 0:
         raise LuxloopError(f"{directory / TRAJECTORY}: holds no step; record the run again")
     if not allow_code:
-        refuse_foreign(directory, scenario, recording.edits)
+        refuse_recorded_code(directory, scenario, recording.edits)
     here = "cuda" if manifest.device.startswith("cuda") and torch.cuda.is_available() else "cpu"
     simulation = Simulation.prepare(scenario, device or here)
     columns = schema(simulation)

@@ -1,5 +1,6 @@
 """Charts over time: flux, electrical power, modules, symbols, zones, materials, confidence, and light on objects."""
 
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from itertools import cycle, product
 from typing import Any
@@ -77,15 +78,16 @@ def _power(axes: Axes, simulation: Simulation, table: pa.Table) -> None:
 
 def _modules(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summary, unit: str, title: str) -> None:
     """Draw a curve for each group of modules with equal commands."""
-    alike: dict[tuple[float, ...], list[list[str]]] = {}
+    alike = defaultdict(list)
     for name in names:
         module, movement = name.removeprefix("modules.").rsplit(".", 1)
         at_end = summary["modules"][module][movement].get("steps_at_end", 0)
-        alike.setdefault((at_end, *column(table, name)), []).append([module, movement])
+        alike[at_end, *column(table, name)].append((module, movement))
     for ((at_end, *values), moved), colour in zip(alike.items(), cycle(COLOURS), strict=False):
         who = dict.fromkeys(module for module, _ in moved)
         whose = "all" if len(who) == len(summary["modules"]) else ", ".join(who)
-        how = " and ".join(MOVEMENTS[movement] for movement in MOVEMENTS if any(movement == each for _, each in moved))
+        movements = {movement for _, movement in moved}
+        how = " and ".join(words for movement, words in MOVEMENTS.items() if movement in movements)
         ends = f", at a limit in {at_end} of {table.num_rows} steps" if at_end else ""
         _curve(axes, table, np.array(values), color=colour, label=f"{whose} {how}{ends}")
     axes.set(ylabel=unit)

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 import torch
 import trimesh
+from kornia.color import linear_rgb_to_rgb
 from PIL import Image
 from torch import Tensor
 from trimesh.visual.material import PBRMaterial
@@ -97,7 +98,8 @@ def _mesh(body: Body, faces: Tensor | None, albedo: float) -> trimesh.Trimesh:
     uv = None
     if body.texture is not None:
         picture, low, high = albedo_picture(body)
-        grey = Image.fromarray(_srgb(picture).numpy()[::-1]).convert("RGB")  # v of trimesh runs up
+        srgb = linear_rgb_to_rgb(picture.clamp(0, 1).expand(3, -1, -1)).flip(1)  # v of trimesh runs up
+        grey = Image.fromarray((255 * srgb).round().byte().movedim(0, -1).contiguous().numpy())
         look = PBRMaterial(baseColorTexture=grey, metallicFactor=0.0, roughnessFactor=1.0, doubleSided=body.two_sided)
         uv = (corners[:, :2] - low) / np.subtract(high, low)
     visual = trimesh.visual.TextureVisuals(uv=uv, material=look)
@@ -109,10 +111,3 @@ def _exact(tree: dict[str, Any]) -> None:
     for material in tree["materials"]:
         if (name := material.get("name", "")).startswith(ALBEDO):
             material["pbrMetallicRoughness"]["baseColorFactor"][:3] = [float(name.removeprefix(ALBEDO))] * 3
-
-
-def _srgb(linear: Tensor) -> Tensor:
-    """sRGB codes 0..255 of linear values 0..1 (IEC 61966-2-1)."""
-    value = linear.clamp(0, 1)
-    coded = torch.where(value <= 0.0031308, 12.92 * value, 1.055 * value.clamp(min=1e-9) ** (1 / 2.4) - 0.055)
-    return (255 * coded).round().byte()

@@ -1,7 +1,7 @@
 """The closing table of a run."""
 
+from collections import defaultdict
 from collections.abc import Mapping
-from typing import Any
 
 from rich.table import Table
 
@@ -107,10 +107,10 @@ def summary_table(values: Summary, files: str) -> Table:  # noqa: C901 (a row a 
 
 def _of_modules(modules: Mapping[str, Mapping[str, Summary]], steps: int) -> str:
     """Commands of modules, equal ones in one phrase."""
-    alike: dict[tuple[Any, ...], list[str]] = {}
+    alike = defaultdict(list)
     for name, movements in modules.items():
         for movement, figures in movements.items():
-            alike.setdefault((movement, *figures.values()), []).append(name)
+            alike[movement, *figures.values()].append(name)
     found = []
     for (movement, least, most, *ends), names in alike.items():
         far = f"{least:.0%} to {most:.0%} of their maximum" if movement == "intensity" else f"{least:.1f}° to {most:.1f}°"

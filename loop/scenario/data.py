@@ -1,7 +1,6 @@
 """Third-party roads and light distributions by name, found on this machine or fetched from their public sources."""
 
 import os
-import tempfile
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -105,10 +104,8 @@ def _download(wanted: DataFile, url: str, target: Path) -> None:
     pooch.get_logger().setLevel("WARNING")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=target.parent) as partial:
-            downloader = pooch.HTTPDownloader(timeout=TIMEOUT_S)
-            pooch.retrieve(url, known_hash=f"sha256:{wanted.sha256}", fname=target.name, path=partial, downloader=downloader)
-            os.replace(Path(partial) / target.name, target)
+        downloader = pooch.HTTPDownloader(timeout=TIMEOUT_S)
+        pooch.retrieve(url, f"sha256:{wanted.sha256}", target.name, target.parent, downloader=downloader)
     except requests.HTTPError as error:
         remedy = f"save it by hand as {target} or set {MIRROR_VARIABLE} to a mirror"
         raise LuxloopError(f"{target.name} cannot be fetched: {error}; {remedy}") from error
@@ -118,7 +115,7 @@ def _download(wanted: DataFile, url: str, target: Path) -> None:
     except ValueError as error:
         raise LuxloopError(f"{url} has other content than registered (SHA-256 differs); nothing was kept, try again") from error
     except OSError as error:
-        raise LuxloopError(f"{target} cannot be written ({error.strerror}); give another folder with --dir") from error
+        raise LuxloopError(f"{target} cannot be written ({error.strerror or error}); give another folder with --dir") from error
 
 
 def cache_folder() -> Path:

@@ -58,7 +58,7 @@ class Source:
         steps = {"steps": max(recording.table.num_rows, 1)}
         scenario = validate(overridden(recording.scenario.model_dump(mode="json"), [steps, *self.all]), str(self.recording))
         if not allow_code:
-            replay.refuse_foreign(self.recording, scenario, recording.edits)
+            replay.refuse_recorded_code(self.recording, scenario, recording.edits)
         return scenario, recording
 
 
