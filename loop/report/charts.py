@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, PowerNorm
 from matplotlib.patches import Polygon, Rectangle
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import AutoMinorLocator, FixedLocator, FuncFormatter, MaxNLocator, MultipleLocator, NullLocator
+from matplotlib.ticker import AutoMinorLocator, FixedLocator, MaxNLocator, MultipleLocator, NullLocator
 from torch import Tensor
 
 from luxloop.loop.report.style import SHARES, field, no_frame, scale
@@ -44,7 +44,7 @@ def isolines(axes: Axes, x: Image, y: Image, values: Image, most: int = MOST_LIN
     norm = LogNorm(levels[0], max(levels[-1], 2 * levels[0]))
     lit = np.maximum(values, 1e-3 * levels[0])  # matplotlib masks zeros on a logarithmic scale, which opens lines
     lines = axes.contour(x, y, lit, levels=levels, cmap=ON_BLACK if on_black else DARK_TO_BRIGHT, norm=norm, linewidths=1.1)
-    labels = axes.clabel(lines, fmt=lambda value: f"{value:g}", fontsize=8, inline_spacing=3)
+    labels = axes.clabel(lines, fmt="%g", fontsize=8, inline_spacing=3)
     for label in labels:
         label.set_path_effects([withStroke(linewidth=2.5, foreground="black" if on_black else "white")])
 
@@ -58,7 +58,7 @@ def false_colours(axes: Axes, values: Image, extent: tuple[float, float, float, 
     shown = axes.imshow(np.maximum(light, least), cmap=FALSE_COLOURS, norm=norm, extent=extent, aspect="auto", interpolation="antialiased")
     bar = scale(axes, shown, label)
     bar.set_ticks([value for value in steps(1.0001 * peak, most=20) if value >= least])
-    bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    bar.ax.yaxis.set_major_formatter("{x:g}")
     bar.ax.yaxis.set_minor_locator(NullLocator())
 
 
@@ -70,8 +70,8 @@ def luminance_image(axes: Axes, luminance: Image, extent: tuple[float, float, fl
     axes.imshow(code, extent=extent, aspect="auto", **SHARES)
 
 
-def degrees(angle: float) -> str:
-    """An angle in deg as the label of a scale."""
+def degrees(angle: float, position: int | None = None) -> str:
+    """An angle in deg as the label of a scale, at any position."""
     return f"{angle:.3g}°".replace("-", "−")
 
 
@@ -80,24 +80,13 @@ def degree_grid(axes: Axes) -> None:
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(20, steps=[1, 2, 5, 10], integer=True))
         axis.set_minor_locator(AutoMinorLocator(2))
-        axis.set_major_formatter(FuncFormatter(lambda angle, _: degrees(angle)))
+        axis.set_major_formatter(degrees)
     axes.grid(True, which="major", alpha=0.45)
     axes.grid(True, which="minor", alpha=0.18)
     axes.axhline(0, color="0.45", lw=1)
     axes.axvline(0, color="0.45", lw=1)
     axes.set_xlabel("to the right")
     axes.set_ylabel("up")
-
-
-def object_outlines(axes: Axes, seen: RoadView, extent: tuple[float, float, float, float], ink: str) -> None:
-    """Draw the outlines of all objects. extent: left, right, bottom and top of the picture, row 0 at the top."""
-    ids = seen.surfaces.object_id.cpu().numpy()
-    rows, cols = ids.shape
-    left, right, bottom, top = extent
-    x = left + (np.arange(cols) + 0.5) / cols * (right - left)
-    y = top + (np.arange(rows) + 0.5) / rows * (bottom - top)
-    for number in np.unique(ids[ids > 0]):
-        axes.contour(x, y, (ids == number).astype(float), levels=[0.5], colors=[ink], linewidths=1)
 
 
 def distance_marks(axes: Axes, seen: RoadView, lane_width_m: float) -> None:
@@ -167,10 +156,10 @@ def draw_wall(axes: Axes, car: LitCar, style: str) -> None:
 def draw_birdseye(axes: Axes, seen: RoadView, style: str, lane_width_m: float) -> None:
     """Draw the road from above, ahead to the right, with the lane's edges, the car and outlines of objects."""
     (x0, x1), (y0, y1) = BIRDSEYE_X_M, BIRDSEYE_Y_M
+    rows, cols = seen.illuminance.shape
+    x, y = x0 + (np.arange(cols) + 0.5) / cols * (x1 - x0), y1 - (np.arange(rows) + 0.5) / rows * (y1 - y0)
     if style == "isolux":
-        rows, cols = seen.illuminance.shape
-        x, y = (np.arange(cols) + 0.5) / cols, (np.arange(rows) + 0.5) / rows
-        isolines(axes, x0 + x * (x1 - x0), y1 - y * (y1 - y0), seen.illuminance)
+        isolines(axes, x, y, seen.illuminance)
     elif style == "falsecolour":
         false_colours(axes, seen.illuminance, (x0, x1, y0, y1), "lx")
     else:
@@ -183,7 +172,9 @@ def draw_birdseye(axes: Axes, seen: RoadView, style: str, lane_width_m: float) -
         axes.axhline(side * lane_width_m / 2, color=ink, lw=0.7, ls=(0, (8, 4)), alpha=0.6)
     rear, front, half, _ = CAR_M
     axes.add_patch(Rectangle((rear, -half), front - rear, 2 * half, fill=False, ec=ink, lw=1))
-    object_outlines(axes, seen, (x0, x1, y0, y1), ink)
+    ids = seen.surfaces.object_id.cpu().numpy()
+    for number in np.unique(ids[ids > 0]):
+        axes.contour(x, y, (ids == number).astype(float), levels=[0.5], colors=[ink], linewidths=1)
 
 
 def draw_eye(axes: Axes, seen: RoadView, style: str) -> None:
@@ -219,7 +210,7 @@ def draw_texture(axes: Axes, light: Headlight, texture: Tensor, peak_cd: float) 
     shown = field(axes, image, extent, vmin=0, vmax=(peak_cd or 1e3) / 1e3)
     for axis, ends in ((axes.xaxis, extent[:2]), (axes.yaxis, extent[2:])):
         axis.set_major_locator(FixedLocator(_round_tangents(*ends)))
-        axis.set_major_formatter(FuncFormatter(lambda tangent, _: degrees(math.degrees(math.atan(tangent)))))
+        axis.set_major_formatter(lambda tangent, _: degrees(math.degrees(math.atan(tangent))))
     axes.set(xlabel="to the right", ylabel="up")
     scale(axes, shown, "kcd")
 

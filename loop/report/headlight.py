@@ -7,14 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
 from luxloop.loop.report.charts import WALL_M, car_outline, distance_marks, draw_birdseye, draw_eye, draw_pixels, draw_texture, draw_wall
 from luxloop.loop.report.facts import borders_deg, flux_lm, peak
-from luxloop.loop.report.style import STYLE, columns, no_frame, page_title, rows, write
+from luxloop.loop.report.style import columns, drawing, no_frame, page_title, rows
 from luxloop.loop.report.styles import check_out, style_of
 from luxloop.loop.report.terminal import plural
 from luxloop.loop.report.views import SIDES, LitCar, Road, beside, birdseye, driver, grey, picture
@@ -78,8 +77,10 @@ def show_headlight(  # noqa: PLR0913 (each value stands by itself)
     name, patterns = _patterns(lamps, beam, title)
     mount = scenario.headlight if scenario else HeadlightParams()
     car = LitCar({side: turn_part(lamp, side, mount) for side, lamp in lamps.items()}, patterns, mount).under(commands or {})
-    with rc_context(STYLE):
-        write(_draw(car, name, view, style, Road(scenario, time_s), visibility_m), out)
+    with drawing(out, (11.5, 5.0), dpi=DPI) as figure:
+        subject = _draw(figure, car, name, view, style, Road(scenario, time_s), visibility_m)
+        which = "both lamps" if len(lamps) > 1 else f"{next(iter(lamps))} lamp"
+        page_title(figure, " and ".join(dict.fromkeys(lamp.name for lamp in lamps.values())), name, which, subject)
     return out
 
 
@@ -134,41 +135,41 @@ def _pattern(side: str, lamp: Lamp, utilisations: Sequence[Tensor]) -> tuple[Ten
     return tuple(u.to(module.headlight.matrix.values) for module, u in zip(lamp.modules, utilisations, strict=True))
 
 
-def _draw(car: LitCar, beam: str, view: str, style: str, road: Road, visibility_m: float) -> Figure:
-    eye = 11.0, 5.85 if style == "falsecolour" else 6.5  # inches of a page with a picture of 16 : 9, and with a scale
+def _draw(figure: Figure, car: LitCar, beam: str, view: str, style: str, road: Road, visibility_m: float) -> str:
+    """Draw a view of the car's light; returns the subject of the picture."""
+    if view in ("driver", "volume"):
+        figure.set_size_inches(11.0, 5.85 if style == "falsecolour" else 6.5)  # a picture of 16 : 9, with a scale of false colours
     match view:
         case "overview":
-            figure = _page(car, beam, "", (14.0, 8.1))
+            figure.set_size_inches(14.0, 8.1)
             _draw_overview(figure, car, beam, road)
+            return ""
         case "wall":
-            figure = _page(car, beam, WALL[style], (11.5, 5.0))
             draw_wall(figure.subplots(), car, style)
+            return WALL[style]
         case "birdseye":
-            figure = _page(car, beam, ROAD[style], (11.5, 5.0))
             draw_birdseye(figure.subplots(), road.look(car, birdseye()), style, road.lane_width_m)
+            return ROAD[style]
         case "driver":
-            figure = _page(car, beam, DRIVER[style], eye)
-            seen = road.look(car, driver())
-            axes = figure.subplots()
+            seen, axes = road.look(car, driver()), figure.subplots()
             draw_eye(axes, seen, style)
             if style != "isolux":
                 distance_marks(axes, seen, road.lane_width_m)
+            return DRIVER[style]
         case "volume":
-            figure = _page(car, beam, f"in fog, visibility {visibility_m:g} m", eye)
-            seen = road.look(car, beside(), Medium.fog(visibility_m))
-            axes = figure.subplots()
+            seen, axes = road.look(car, beside(), Medium.fog(visibility_m)), figure.subplots()
             draw_eye(axes, seen, style)
             car_outline(axes, seen)
+            return f"in fog, visibility {visibility_m:g} m"
         case _:
-            figure = _modules(car, beam, view)
-    return figure
+            _draw_modules(figure, car, view)
+            return "utilisation of the pixels" if view == "pixels" else "light textures"
 
 
-def _modules(car: LitCar, beam: str, view: str) -> Figure:
-    """A figure with a panel for each module, a column for each lamp."""
+def _draw_modules(figure: Figure, car: LitCar, view: str) -> None:
+    """Draw a panel for each module, a column for each lamp."""
     rows, columns = max(len(lamp.modules) for lamp in car.lamps.values()), len(car.lamps)
-    what = "utilisation of the pixels" if view == "pixels" else "light textures"
-    figure = _page(car, beam, what, (9.0 if columns == 1 else 13.0, 0.6 + 2.4 * rows))
+    figure.set_size_inches(9.0 if columns == 1 else 13.0, 0.6 + 2.4 * rows)
     panels = figure.subplots(rows, columns, squeeze=False)
     textures = {
         side: [module.headlight.light_texture(u) for module, u in zip(lamp.modules, car.patterns[side], strict=True)]
@@ -187,16 +188,6 @@ def _modules(car: LitCar, beam: str, view: str) -> Figure:
                 axes.set_title(f"{side}, {module.name}: {light.rows} x {light.cols} texels")
                 brightest = max(float(each[row].max()) for each in textures.values() if row < len(each))
                 draw_texture(axes, light, textures[side][row], brightest)
-    return figure
-
-
-def _page(car: LitCar, beam: str, what: str, inches: tuple[float, float]) -> Figure:
-    """A figure with a title."""
-    figure = Figure(inches, DPI, layout="constrained")
-    names = " and ".join(dict.fromkeys(lamp.name for lamp in car.lamps.values()))
-    which = "both lamps" if len(car.lamps) > 1 else f"{next(iter(car.lamps))} lamp"
-    page_title(figure, names, beam, which, what)
-    return figure
 
 
 def _draw_overview(figure: Figure, car: LitCar, beam: str, road: Road) -> None:

@@ -168,14 +168,13 @@ def _from_above(axes: Axes, simulation: Simulation, last: Evaluation) -> None:
     levels = [level for level in ROAD_LEVELS_LX if light.min() < level < light.max()]
     if levels:
         lines = axes.contour(light, levels=levels, colors="white", linewidths=0.6, extent=extent, origin="upper")
-        axes.clabel(lines, fmt=lambda level: f"{level:g} lx", fontsize=7)
+        axes.clabel(lines, fmt="%g lx", fontsize=7)
     _outlines(axes, last)
     axes.set(xlabel="ahead in m", ylabel="to the left in m", title="Illuminance from above, at the end")
     axes.set(xlim=extent[:2], ylim=extent[2:])
     ticks = [tick for tick in (0.1, 0.3, 1, 3, 10, 30) if tick <= most]
-    bar = axes.figure.colorbar(shown, ax=axes, pad=0.01, ticks=ticks, extend="max" if light.max() > most else "neither")
-    bar.ax.set_yticklabels([f"{tick:g} lx" for tick in ticks])
-    bar.ax.minorticks_off()
+    extend = "max" if light.max() > most else "neither"
+    axes.figure.colorbar(shown, ax=axes, pad=0.01, ticks=ticks, extend=extend, format="%g lx").minorticks_off()
 
 
 def _colour(kind: str) -> tuple[float, ...]:

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 from matplotlib.projections.polar import PolarAxes
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 
 from luxloop.loop.report import charts
 from luxloop.loop.report.style import FOUR, columns, drawing, page_title
@@ -61,7 +61,7 @@ def _map(axes: Axes, distribution: Distribution) -> None:
     charts.false_colours(axes, candela, (h[0], h[-1], v[0], v[-1]), "cd")
     for axis, label in zip((axes.xaxis, axes.yaxis), LABELS[distribution.type], strict=True):
         axis.set_major_locator(MaxNLocator(9, steps=[1, 1.5, 3, 4.5, 6, 9, 10]))
-        axis.set_major_formatter(FuncFormatter(lambda angle, _: charts.degrees(angle)))
+        axis.set_major_formatter(charts.degrees)
         axis.set_label_text(label)
 
 
@@ -73,7 +73,7 @@ def _curves(figure: SubFigure, distribution: Distribution) -> None:
     axes = figure.subplots(subplot_kw={} if narrow else {"projection": "polar"})
     for (name, candela), colour, line in zip(curves.items(), FOUR[:2], ("-", "--"), strict=True):
         axes.plot(angles if narrow else np.deg2rad(angles), candela, color=colour, ls=line, label=name)
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda candela, _: _number(candela)))
+    axes.yaxis.set_major_formatter(lambda candela, _: _number(candela))
     axes.set_title("Through the peak, in cd")
     if isinstance(axes, PolarAxes):
         nadir = distribution.type == "C"
@@ -86,7 +86,7 @@ def _curves(figure: SubFigure, distribution: Distribution) -> None:
     else:
         width = 1.3 * max(bright) or NEEDLE_DEG  # nothing shines
         axes.set(xlim=(-width, width), ylim=(0, None))
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda angle, _: charts.degrees(angle)))
+        axes.xaxis.set_major_formatter(charts.degrees)
         axes.legend(loc="upper right")
 
 

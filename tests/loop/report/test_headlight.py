@@ -308,7 +308,8 @@ def test_a_folder_that_cannot_be_written_is_named(lamps: dict[str, Lamp], tmp_pa
 
 def test_left_and_right_textures_are_to_one_scale_and_to_the_right(lamps: dict[str, Lamp]) -> None:
     half = {"left": (torch.full((800,), 0.5),), "right": (torch.ones(800),)}
-    figure = headlight._modules(LitCar(lamps, half), "half", "texture")
+    figure = Figure()
+    headlight._draw_modules(figure, LitCar(lamps, half), "texture")
     shown = [axes.images[0] for axes in figure.axes if axes.images]
     assert [image.get_clim() for image in shown] == [(0, pytest.approx(50.0))] * 2
     assert shown[0].get_extent()[:2] == pytest.approx((-math.tan(math.radians(12)), math.tan(math.radians(12))))
