@@ -70,7 +70,7 @@ def luminance_image(axes: Axes, luminance: Image, extent: tuple[float, float, fl
     axes.imshow(code, extent=extent, aspect="auto", **SHARES)
 
 
-def degrees(angle: float, position: int | None = None) -> str:
+def degrees(angle: float, position: float = 0.0) -> str:
     """An angle in deg as the label of a scale, at any position."""
     return f"{angle:.3g}°".replace("-", "−")
 
