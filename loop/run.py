@@ -18,7 +18,7 @@ from luxloop.loop.recording.checks import Checks
 from luxloop.loop.recording.labels import Layout, choose_labels
 from luxloop.loop.recording.manifest import REPORT, TRAJECTORY, VIDEO
 from luxloop.loop.recording.record import refuse_unknown_columns, row
-from luxloop.loop.recording.remedies import of_target
+from luxloop.loop.recording.remedies import target_remedies
 from luxloop.loop.scenario.model import Scenario, load
 from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.commanded import unmoved
@@ -183,7 +183,7 @@ def check(scenario: Scenario, device: str = "auto") -> dict[str, Any]:
 def _cut(name: str, symbol: ControlledSymbol) -> list[str]:
     """How much of a symbol's target lies beyond the lamps' field, and the remedy; empty where that is next to nothing."""
     shares = cut(symbol.projector, ProjectionCommand(symbol.projector.target)).tolist()
-    return of_target(name, dict(zip(SIDES, shares, strict=True)))
+    return target_remedies(name, dict(zip(SIDES, shares, strict=True)))
 
 
 def _first_look(simulation: Simulation) -> dict[str, Any]:

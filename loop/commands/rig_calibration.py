@@ -137,7 +137,7 @@ def calibrate(
     camera = found.camera
     stds = [""] * 9 if camera.covariance is None else [f" ± {by:.2g}" for by in np.sqrt(np.diag(camera.covariance))]
     values = zip(("fx", "fy", "cx", "cy", *DISTORTION), camera.values, stds, strict=True)
-    rows_shown = {
+    figures = {
         "lens": ", ".join(f"{what} {value:.5g}{std}" for what, value, std in values)
         + ("; assumed, not measured" if camera.covariance is None else ""),
         "scale": "not measured" if scale is None else f"{scale:.4g} lx on the screen saturate the camera",
@@ -147,8 +147,8 @@ def calibrate(
     }
     for what, geometry in geometries.items():
         place, by = geometry.lamp.place, geometry.std["lamp"][3:]
-        rows_shown[f"place, {what}"] = ", ".join(f"{a:.4f} ± {b:.1g}" for a, b in zip(place, by, strict=True)) + " m from the camera"
-    tables.show(tables.facts(rows_shown))
+        figures[f"place, {what}"] = ", ".join(f"{a:.4f} ± {b:.1g}" for a, b in zip(place, by, strict=True)) + " m from the camera"
+    tables.show(tables.facts(figures))
     keys = steps.overrides(found, modules[0])
     print(f"--set {' '.join(f'{key}={value:g}' for key, value in keys.items())}")
     print(f"{out} written; digitise the lamp with: luxloop rig digitise {shlex.join([name, '--calibration', str(out)])}")
@@ -246,14 +246,16 @@ def digitise(
     archive.save(out, lamp_of(scenario, [each.light for each in found], out.stem, notes))
     written = report.write(out.with_suffix(""), found)
     for module in found:
-        told = report.facts(module)
+        figures = report.facts(module)
         tables.show(
             tables.facts(
                 {
-                    module.name: f"{told['pixels']:,} pixels, {told['dead_count']} dead, {told['stuck_count']} stuck",
-                    "intensity": f"{100 * told['intensity_noise']:.2g} % noise of a pixel, {100 * told['residual_rms']:.2g} % residual rms",
-                    "place": f"{told['place_rms_px']:.3f} px rms from the data sheet's, shifts {told['shift_rms_pixels']:.3f} pixels rms",
-                    "not fitted": ", ".join(f"{what} {100 * value:.2g} %" for what, value in told["checked"].items()),
+                    module.name: f"{figures['pixels']:,} pixels, {figures['dead_count']} dead, {figures['stuck_count']} stuck",
+                    "intensity": f"{100 * figures['intensity_noise']:.2g} % noise of a pixel, "
+                    f"{100 * figures['residual_rms']:.2g} % residual rms",
+                    "place": f"{figures['place_rms_px']:.3f} px rms from the data sheet's, "
+                    f"shifts {figures['shift_rms_pixels']:.3f} pixels rms",
+                    "not fitted": ", ".join(f"{what} {100 * value:.2g} %" for what, value in figures["checked"].items()),
                 }
             )
         )

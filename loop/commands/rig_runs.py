@@ -66,14 +66,14 @@ def run_on_rig(
             passed = run_scenario(scenario, out, device, False, {**kept, "plant": plant, "frames": kept["frames"] or twin})
         finally:
             rig.keeper.dark("the run has ended")
-            figures = of_run(rig, len(scenario.shares)) | {"judged": {} if evaluator is None else evaluator.summary()}
+            figures = run_statistics(rig, len(scenario.shares)) | {"judged": {} if evaluator is None else evaluator.summary()}
             if out.is_dir():
                 _write(out, rig, figures)
-            tables.show(tables.facts(in_words(figures) | {"evaluator": EVALUATOR}))
+            tables.show(tables.facts(describe_run(figures) | {"evaluator": EVALUATOR}))
     if simulated is not None:
         compared = _twin(out, simulated, params.mark, scenario.steps * len(scenario.shares))
         _write(out, rig, figures | {"twin": compared})
-        tables.show(tables.facts(_twin_in_words(compared)))
+        tables.show(tables.facts(_describe_twin(compared)))
     _require_frames(rig, file, out)
     return passed
 
@@ -122,13 +122,13 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
         finally:
             rig.keeper.dark("the run has ended")
             if live is not None and rig.statistics.exposures and out.is_dir():
-                figures = of_run(rig, len(scenario.shares)) | {"judged": {}}
+                figures = run_statistics(rig, len(scenario.shares)) | {"judged": {}}
                 beam = live.beam.summary() | {"module": modules[number].name, "seen": live.digitiser.coverage}
                 _write(out, rig, figures | {"live": beam})
                 if live.beam.newest is not None:
                     texture, u = live.beam.newest
                     draw_beam(out / BEAM, texture, live.truth.modules[number].headlight, u)
-                tables.show(tables.facts(in_words(figures) | _beam_in_words(beam)))
+                tables.show(tables.facts(describe_run(figures) | _describe_beam(beam)))
     _require_frames(rig, file, out)
     return passed
 
@@ -189,7 +189,7 @@ def _twin(out: Path, simulated: "SimulatedPlant", mark: "MarkParams | None", exp
         raise KeyboardInterrupt(f"the run is kept in {out}, without its twin") from error
 
 
-def _twin_in_words(found: Mapping[str, Any]) -> dict[str, str]:
+def _describe_twin(found: Mapping[str, Any]) -> dict[str, str]:
     return {
         f"twin, {name} frames": f"mean digital number {each['mean_rig']:.1f} on the rig, {each['mean_simulated']:.1f} simulated; "
         f"MAE {each['mae']:.1f}, RMSE {each['rmse']:.1f}, SSIM {each['ssim']:.3f}"
@@ -204,15 +204,15 @@ def _require_frames(rig: "Rig", file: Path, out: Path) -> None:
         raise LuxloopError(f"{file}: {failure}; the recording is kept in {out}")
 
 
-def of_run(rig: "Rig", per_step: int) -> dict[str, Any]:
+def run_statistics(rig: "Rig", per_step: int) -> dict[str, Any]:
     """Statistics of a run on a rig, as plain data. per_step: exposures per control step."""
     watched = {"darkened": rig.keeper.darkened, "interruptions": rig.keeper.interruptions}
     camera = {"pictures": rig.camera.count, "dropped": rig.camera.dropped, "connections": rig.camera.connections}
     return {**rig.statistics.summary(per_step), "per_step": per_step, "watchdog": watched, "camera": camera}
 
 
-def in_words(figures: Mapping[str, Any]) -> dict[str, str]:
-    """Rows of a table on the figures of a run: statistics of `of_run`, and `judged`."""
+def describe_run(figures: Mapping[str, Any]) -> dict[str, str]:
+    """Rows of a table on the figures of a run: statistics of `run_statistics`, and `judged`."""
     lost = figures["lost"]
     reasons = (f"\n{count} lost: {reason}" for reason, count in sorted(lost.items(), key=lambda each: -each[1])[:5])
     rows = {
@@ -241,7 +241,7 @@ def _spread(ms: Mapping[str, float | None]) -> str:
     return "" if ms["median"] is None else f"{ms['median']:.0f} ms (median), {ms['p95']:.0f} ms (95 %), {ms['worst']:.0f} ms (worst)"
 
 
-def _beam_in_words(beam: Mapping[str, Any]) -> dict[str, str]:
+def _describe_beam(beam: Mapping[str, Any]) -> dict[str, str]:
     if not (times := _spread(beam["light_to_texture_ms"])):
         return {f"{beam['module']}, digitised": "no frame was taken"}
     rows = {

@@ -51,7 +51,7 @@ def summary_of(
     summary = summarise(table, scenario.name, reference_power(simulation, table), symbols)
     low = _low_beam(simulation)
     summary |= {"shadow_of": shadow_of(scenario.plant), "low_beam_lm": sum(_flux_lm(simulation, low)) if low else None}
-    summary |= {"modules": modules} if (modules := of_modules(table, simulation.modules)) else {}
+    summary |= {"modules": modules} if (modules := summarise_modules(table, simulation.modules)) else {}
     return summary | ({"flicker": {"rate_hz": scenario.rate_hz, "on_share": 1 - scenario.off_share}} if symbols else {})
 
 
@@ -107,7 +107,7 @@ def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[n
     return finite(found)
 
 
-def of_modules(table: pa.Table, modules: Sequence[Movable]) -> dict[str, dict[str, Summary]]:
+def summarise_modules(table: pa.Table, modules: Sequence[Movable]) -> dict[str, dict[str, Summary]]:
     """Commands of functions by module and movement: least and most; of angles also the number of steps at a limit of the module's range
     that is not its rest position.
     """
@@ -132,7 +132,7 @@ def brightest(objects: Mapping[str, Summary]) -> list[str]:
     return [name for name in sorted(most, key=most.__getitem__, reverse=True)[:NAMED] if most[name]]
 
 
-def spoken(name: str) -> str:
+def plain_name(name: str) -> str:
     """A name of a scenario in plain words, such as "road: zebra crossing" for `road.zebra_crossing`."""
     return name.replace("_", " ").replace(".", ": ", 1)
 

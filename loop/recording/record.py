@@ -166,7 +166,7 @@ def row(result: Evaluation) -> dict[str, Any]:
     for name, each in result.objects.items():
         values |= {f"objects.{name}.{key}": getattr(each, key) for key in OBJECT | OBJECT_PEAK}
     for name, held in result.held.items():
-        values |= {f"functions.{name}.{key}": value for key, value in of_symbol(held).items()}
+        values |= {f"functions.{name}.{key}": value for key, value in symbol_values(held).items()}
     for (name, _), command in zip(result.now.lights, result.now.commands, strict=False):  # no commands where all modules are at rest
         values |= {f"modules.{name}.{key}": getattr(command, key) for key in MODULE}
     for name, zone in result.zones.items():
@@ -184,7 +184,7 @@ def row(result: Evaluation) -> dict[str, Any]:
     return values
 
 
-def of_symbol(held: SymbolStep) -> dict[str, Any]:
+def symbol_values(held: SymbolStep) -> dict[str, Any]:
     """Plain values of one symbol in a step, by column of `SYMBOL`."""
     metrics, measurement = held.metrics or NO_METRICS, held.measurement
     tensors = {

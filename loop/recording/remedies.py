@@ -15,7 +15,7 @@ BORDERS = {  # of the field: name and remedy
 }
 
 
-def of_frames(frames: dict[str, int]) -> list[str]:
+def frame_remedies(frames: dict[str, int]) -> list[str]:
     """Faults of the frames of a run and their remedies, by the summary's `frames`; empty without a fault."""
     numbers = "give each frame the number of its exposure, exposure.number, and test the plant with luxloop.check_plant"
     late = "raise steps if frames are late, lower camera.drop_probability, or test your own plant with luxloop.check_plant"
@@ -55,7 +55,7 @@ def _remedies(values: Summary) -> list[str]:
     return found
 
 
-def of_target(name: str, shares: Mapping[str, float]) -> list[str]:
+def target_remedies(name: str, shares: Mapping[str, float]) -> list[str]:
     """Cause and remedy for a target beyond the lamps' field; empty for a negligible share. shares: of the target beyond each border."""
     cut, side = sum(shares.values()), max(shares, key=shares.__getitem__)
     return [_cut("the target of NAME", cut, side).replace("NAME", f"functions.{name}")] if cut > CUT else []

@@ -12,7 +12,7 @@ from matplotlib.figure import SubFigure
 from matplotlib.ticker import LogFormatter
 
 from luxloop.controllers.functions.commands import MOVEMENTS
-from luxloop.loop.recording.functions_summary import START_UP_S, UNITS, brightest, materials_of, reference_power, spoken, zones_of
+from luxloop.loop.recording.functions_summary import START_UP_S, UNITS, brightest, materials_of, plain_name, reference_power, zones_of
 from luxloop.loop.recording.summary import Summary, column
 from luxloop.loop.report.style import FOUR, heading
 from luxloop.loop.report.terminal import plural
@@ -100,7 +100,7 @@ def _symbols(axes: Axes, table: pa.Table, held: Sequence[str]) -> None:
     for name, colour in zip(held, cycle(COLOURS), strict=False):
         evaluated = table.filter(table[f"functions.{name}.iou"].is_valid())
         marker = "." if table.num_rows < FEW_STEPS else ""
-        _curve(axes, evaluated, f"functions.{name}.iou", color=colour, label=spoken(name), marker=marker)
+        _curve(axes, evaluated, f"functions.{name}.iou", color=colour, label=plain_name(name), marker=marker)
         lost = table.filter([reason not in (None, "", "no_frame") for reason in table[f"functions.{name}.loss"].to_pylist()])
         _curve(axes, lost, np.zeros(lost.num_rows), color=colour, linestyle="", marker="x", markersize=4)
     axes.set(ylabel="IoU", ylim=(-0.02, 1.02))
@@ -109,7 +109,7 @@ def _symbols(axes: Axes, table: pa.Table, held: Sequence[str]) -> None:
 
 def _zones(axes: Axes, table: pa.Table, zones: Sequence[str]) -> None:
     for name, colour in zip(zones, cycle(COLOURS), strict=False):
-        _curve(axes, table, f"functions.{name}.luminance", color=colour, label=spoken(name))
+        _curve(axes, table, f"functions.{name}.luminance", color=colour, label=plain_name(name))
         _curve(axes, table, f"functions.{name}.target", "--", color=colour, linewidth=0.9, marker="")
     axes.set(ylabel="cd/m²", ylim=(0, 1.08 * axes.dataLim.ymax))
     heading(axes, "Luminance of zones, and what is wanted (dashed)")
@@ -121,7 +121,7 @@ def _materials(axes: Axes, table: pa.Table) -> None:
         values, wanted = (column(table, f"functions.{name}.{each}") for each in (quantity, "wanted"))
         if not wanted[-1]:
             continue  # dark has no share
-        label = f"{spoken(name)}: {wanted[-1]:g} {UNITS[quantity]}".replace("^2", "²")
+        label = f"{plain_name(name)}: {wanted[-1]:g} {UNITS[quantity]}".replace("^2", "²")
         _curve(axes, table, values / wanted, line, color=colour, label=label)
     axes.axhline(1.0, color="0.5", linewidth=0.9)
     axes.set(ylabel="of what is wanted", ylim=(0, None))
@@ -131,7 +131,7 @@ def _materials(axes: Axes, table: pa.Table) -> None:
 def _confidences(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summary) -> None:
     for name, colour in zip(names, COLOURS, strict=False):
         gone = summary["objects"][name]["steps_lost"]
-        label = spoken(name) + (f", lost in {gone} steps" if gone else "")
+        label = plain_name(name) + (f", lost in {gone} steps" if gone else "")
         _curve(axes, table, f"objects.{name}.confidence", color=colour, label=label, marker="")
     axes.set(ylim=(0, 1.02))
     if nothing := summary["tracks_of_nothing"]:
@@ -145,7 +145,7 @@ def _on_objects(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summ
     others = [name for name, lx in most_lx.items() if lx is not None and name not in names]
     for name, colour in zip(names, COLOURS, strict=False):
         dark = not most_lx[name]
-        label = f"{spoken(name)}: 0 lx throughout" if dark else spoken(name) if with_names else None
+        label = f"{plain_name(name)}: 0 lx throughout" if dark else plain_name(name) if with_names else None
         _curve(axes, table, f"objects.{name}.lx_mean", color=colour, label=label)
         _curve(axes, table, f"objects.{name}.lx_max", ":", color=colour, linewidth=0.9, marker="")
     if others:

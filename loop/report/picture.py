@@ -15,7 +15,7 @@ from luxloop.controllers.functions.zone import ZoneParams
 from luxloop.controllers.situation import TrackedObject
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
-from luxloop.loop.recording.functions_summary import spoken
+from luxloop.loop.recording.functions_summary import plain_name
 from luxloop.loop.recording.video import Picture, tone_map
 from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.columns import loss_name
@@ -89,7 +89,7 @@ def _zone(name: str, zone: ZoneParams, view: View) -> Mark:
     if not lines:
         return Mark((), "zone")
     us, vs = zip(*chain.from_iterable(lines), strict=True)
-    return Mark(lines, "zone", spoken(name), (min(us), min(vs)))
+    return Mark(lines, "zone", plain_name(name), (min(us), min(vs)))
 
 
 def _target(symbol: SymbolParams, view: View) -> Lines:
@@ -251,10 +251,10 @@ def captions(result: Evaluation, simulation: Simulation) -> list[tuple[str, tupl
         lines[3] += f", {sum(power.watts for power in result.powers.values()):.0f} W"
     if result.dark_lx_max is not None:
         lines.append(f"on masked objects: {result.dark_lx_max:.3g} lx")
-    return [(line, TEXT_RGB) for line in lines] + [_of_symbol(name, simulation, held) for name, held in result.held.items()]
+    return [(line, TEXT_RGB) for line in lines] + [_symbol_caption(name, simulation, held) for name, held in result.held.items()]
 
 
-def _of_symbol(name: str, simulation: Simulation, held: SymbolStep) -> tuple[str, tuple[int, int, int]]:
+def _symbol_caption(name: str, simulation: Simulation, held: SymbolStep) -> tuple[str, tuple[int, int, int]]:
     loss, lies = loss_name(int(held.measurement.code)), "not evaluated"
     if held.metrics is not None:
         x, y = held.metrics.centroid_percent.tolist()

@@ -7,8 +7,8 @@ from rich.table import Table
 
 from luxloop.controllers.functions.commands import MOVEMENTS
 from luxloop.loop.recording.checks import lines
-from luxloop.loop.recording.functions_summary import NAMED, START_UP_S, UNITS, brightest, spoken
-from luxloop.loop.recording.remedies import of_frames, remedies, why_no_metrics
+from luxloop.loop.recording.functions_summary import NAMED, START_UP_S, UNITS, brightest, plain_name
+from luxloop.loop.recording.remedies import frame_remedies, remedies, why_no_metrics
 from luxloop.loop.recording.summary import Summary
 from luxloop.loop.report.terminal import facts, number, plural
 from luxloop.loop.simulation.detection import LEAST_PX
@@ -38,23 +38,23 @@ def summary_table(values: Summary, files: str) -> Table:  # noqa: C901 (a row a 
         flux, low = sum(lamp["flux_lm_mean"] for lamp in values["lamps"].values()), values["low_beam_lm"]
         rows["flux"] = f"{flux:.0f} lm (mean), {flux / low:.0%} of the undimmed low beam's {low:.0f} lm"
     if values.get("modules"):
-        rows["modules"] = _of_modules(values["modules"], values["steps"])
+        rows["modules"] = _modules_row(values["modules"], values["steps"])
     rows |= _of_light(values["objects"], values["steps"])
     if values["dark_lx_max"] is not None:
         late = ", since masks follow detections in earlier frames" if values["dark_lx_max"] and "detections" in values else ""
         rows["on masked objects"] = f"{values['dark_lx_max']:.3g} lx at most{late}"
     for name, symbol in values["functions"].items():
-        rows |= {f"{spoken(name)}: {key}": text for key, text in _of_symbol(symbol).items()}
+        rows |= {f"{plain_name(name)}: {key}": text for key, text in _symbol_rows(symbol).items()}
     if (flicker := values.get("flicker")) is not None:
         rows["flicker"] = f"a measured symbol is on for {flicker['on_share']:.0%} of a step, at {flicker['rate_hz']:g} Hz"
     for name, zone in values.get("zones", {}).items():
         when = "not settled" if zone["settled_step"] is None else f"within 5 % from step {zone['settled_step']} on"
-        rows[f"zone {spoken(name)}"] = f"{number(zone['luminance'], '.3g')} of {zone['target']:.3g} cd/m^2, {when}"
+        rows[f"zone {plain_name(name)}"] = f"{number(zone['luminance'], '.3g')} of {zone['target']:.3g} cd/m^2, {when}"
     for name, each in values.get("materials", {}).items():
         unit = UNITS[each["quantity"]]
         share = f" ({each['median'] / each['wanted']:.0%} of it)" if each["median"] is not None and each["wanted"] else ""
         got = "out of sight" if each["median"] is None else f"{each['median']:.3g} {unit}{share}, median of its pixels at the end"
-        rows[f"material {spoken(name)}"] = f"{each['wanted']:.3g} {unit} wanted: {got}"
+        rows[f"material {plain_name(name)}"] = f"{each['wanted']:.3g} {unit} wanted: {got}"
     if values["symbol_iou_min"] is not None:
         rows["symbols, as seen by their observers"] = f"IoU {values['symbol_iou_min']:.3f} at least"
     objects = values["objects"].values()
@@ -64,7 +64,7 @@ def summary_table(values: Summary, files: str) -> Table:  # noqa: C901 (a row a 
         why = f"nothing to draw or to command, or nothing within reach of a lamp, in all steps{nobody}"
         rows["without effect"] = f"{', '.join(values['idle_functions'])}: {why}"
     if values.get("energy_j") is not None:
-        rows["energy"] = _of_energy(values["energy_j"], values["energy_compared_j"])
+        rows["energy"] = _energy_row(values["energy_j"], values["energy_compared_j"])
         if values["base_share_final"] < 1:
             learnt = values["base_share_final"] < values["base_share_first"]
             why = "; no object was tracked, so none asked for more" if untracked and learnt else ""
@@ -96,16 +96,18 @@ def summary_table(values: Summary, files: str) -> Table:  # noqa: C901 (a row a 
     rows |= _of_lost(values["objects"])
     rows["time a step"] = processing(values, "of one core (median) for all computations of the car")
     rows |= lines(values)
-    notes = of_frames(values["frames"]) if "frames" in values else []
+    notes = frame_remedies(values["frames"]) if "frames" in values else []
     several = len(values["functions"]) > 1
-    notes += [f"{spoken(name)}: {note}" if several else note for name, each in values["functions"].items() for note in remedies(name, each)]
+    notes += [
+        f"{plain_name(name)}: {note}" if several else note for name, each in values["functions"].items() for note in remedies(name, each)
+    ]
     if notes and not values["shadow_of"]:
         rows["note"] = "\n".join(notes)
     rows["files"] = files
     return facts(rows)
 
 
-def _of_modules(modules: Mapping[str, Mapping[str, Summary]], steps: int) -> str:
+def _modules_row(modules: Mapping[str, Mapping[str, Summary]], steps: int) -> str:
     """Commands of modules, equal ones in one phrase."""
     alike = defaultdict(list)
     for name, movements in modules.items():
@@ -149,7 +151,7 @@ def _of_lost(objects: Mapping[str, Summary]) -> dict[str, str]:
         missed = sum(not gone[name]["tracks"] for name in smaller)
         rows["smaller objects"] = f"{missed} missed, {len(smaller) - missed} lost, of {gone[smaller[0]]['pixels_max']:.0f} px at most"
     if hopeless:
-        who = ", ".join(map(spoken, hopeless)) if len(hopeless) <= NAMED else f"{len(hopeless)} objects"
+        who = ", ".join(map(plain_name, hopeless)) if len(hopeless) <= NAMED else f"{len(hopeless)} objects"
         rows["not to be found"] = f"{who}: of no class that the detector has, or never {LEAST_PX:g} px tall"
     return rows
 
@@ -160,9 +162,9 @@ def processing(values: Summary, what: str) -> str:
     return f"{number(values['processing_ms_median'], '.0f')} ms {what}" + ("" if times is None else f", {times:.2g} of the control period")
 
 
-def _of_symbol(values: Summary) -> dict[str, str]:
+def _symbol_rows(values: Summary) -> dict[str, str]:
     if (why := why_no_metrics(values)) is not None:
-        return {"result": why, "lost steps": f"{values['lost_steps']}{_beside(values)}"}
+        return {"result": why, "lost steps": f"{values['lost_steps']}{_lost_details(values)}"}
     x, y = values["centroid_error_percent"]
     settled = values["settle_step"]
     ended, without = (number(values[key], ".3f") for key in ("iou_final", "iou_open"))
@@ -172,18 +174,18 @@ def _of_symbol(values: Summary) -> dict[str, str]:
         "centroid error": f"{number(x, '.2f')} % along, {number(y, '.2f')} % across",
         "IoU": f"{ended} at the last step, {without} without control (open loop) at the last step{late}",
         "overshoot": number(values["overshoot_percent"], ".1f", " %"),
-        "lost steps": f"{values['lost_steps']}{_beside(values)}",
+        "lost steps": f"{values['lost_steps']}{_lost_details(values)}",
     }
 
 
-def _beside(values: Summary) -> str:
-    names = ", ".join(map(spoken, values["covered_by"])) or "other functions"
+def _lost_details(values: Summary) -> str:
+    names = ", ".join(map(plain_name, values["covered_by"])) or "other functions"
     blind = values["shown_steps"] - values["seen_steps"] - values["lost_steps"]
     covered = f", of which {names} covered it in {values['covered_steps']}" if values["covered_steps"] else ""
     return covered + (f", and {blind} without a frame" if blind else "")
 
 
-def _of_energy(own_j: float, compared_j: Mapping[str, float]) -> str:
+def _energy_row(own_j: float, compared_j: Mapping[str, float]) -> str:
     standby, *others = compared_j.items()
     beams = "".join(f", {name} {_joules(joules)}" for name, joules in others)
     undimmed = f"; undimmed{beams[1:]}" if beams else ""
