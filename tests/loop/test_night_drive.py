@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from luxloop import load, run
 from luxloop.loop.recording.record import row
-from luxloop.loop.run import run
-from luxloop.loop.scenario.model import load
 from tests.loop.conftest import simulation_of
 
 

@@ -8,8 +8,7 @@ import av
 import pandas as pd
 import pytest
 
-from luxloop.loop.simulation.simulation import Simulation
-from luxloop.world.errors import LuxloopError
+from luxloop import LuxloopError, Simulation
 from tests.loop.conftest import FILE, Lux
 
 FILES = {"manifest.json", "trajectory.parquet", "summary.json", "report.png", "video.mp4"}

@@ -20,12 +20,11 @@ def test_every_check_reports_and_mends(lux: Lux) -> None:
     found = json.loads(out)
     assert code == (0 if found["ok"] else 1)
     results = [doctor.Check(**each) for each in found["checks"]]
-    names = [check.name for check in results]
-    assert len(set(names)) == len(names) > 10
-    assert {"Python", "OpenGL", "ray caster", "devices", "video", "data", "working folder"} <= set(names)
+    names = {check.name for check in results}
+    assert len(names) == len(results) > 10
+    assert {"Python", "OpenGL", "ray caster", "devices", "video", "data", "working folder"} <= names
     for check in results:
-        assert check.found and "\n" not in check.found
-        assert (check.status == "ok") == (check.remedy == ""), check
+        assert check.found and "\n" not in check.found and (check.status == "ok") == (check.remedy == ""), check
 
 
 def test_a_warning_does_not_keep_luxloop_from_running() -> None:
@@ -34,17 +33,13 @@ def test_a_warning_does_not_keep_luxloop_from_running() -> None:
     assert not doctor.all_good([ok, fail])
 
 
-def test_old_python() -> None:
+def test_old_python_and_missing_and_old_packages_name_the_command_that_installs_them() -> None:
     check = doctor.python_check((3, 10, 4))
     assert check.status == "fail" and check.found.startswith("3.10.4") and "python3" in check.remedy
-
-
-def test_missing_and_old_packages_name_the_command_that_installs_them() -> None:
     good, missing, old = map(doctor.package_check, ["numpy>=2", "no-such-package[extra]>=1", "torch>=999"])
-    assert good.status == "ok" and good.found.startswith("2")
-    assert missing.status == "fail" and missing.name == "no-such-package"
-    assert missing.remedy.endswith('-m pip install "no-such-package[extra]>=1"')
-    assert old.status == "fail" and "torch>=999" in old.found and old.remedy
+    assert (good.status, missing.status, old.status) == ("ok", "fail", "fail") and good.found.startswith("2")
+    assert missing.name == "no-such-package" and missing.remedy.endswith('-m pip install "no-such-package[extra]>=1"')
+    assert "torch>=999" in old.found and old.remedy
 
 
 def test_distribution_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,14 +48,10 @@ def test_distribution_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> 
     assert check.status == "fail" and "-e" in check.remedy
 
 
-def test_opengl_platform_that_does_not_exist() -> None:
+def test_opengl_without_its_platform_or_driver(tmp_path: Path) -> None:
+    """No failure: rays take OpenGL's place. With an empty folder of drivers EGL finds none: a machine without Mesa."""
     check = doctor.opengl_check({**os.environ, "PYOPENGL_PLATFORM": "nonsense"})
-    # Not a failure: rays take OpenGL's place.
     assert check.status == "warn" and "nonsense" in check.found and check.remedy == "unset PYOPENGL_PLATFORM"
-
-
-def test_no_opengl_driver(tmp_path: Path) -> None:
-    """With an empty folder for its list of drivers EGL is there but finds none: a machine without Mesa."""
     check = doctor.opengl_check({**os.environ, "PYOPENGL_PLATFORM": "egl", "__EGL_VENDOR_LIBRARY_DIRS": str(tmp_path)})
     assert check.status == "warn" and check.found and "libegl1" in check.remedy
 
@@ -90,17 +81,18 @@ def test_broken_library_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_data_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(data, "cache_folder", lambda: tmp_path / "fetched")
-    monkeypatch.delenv("LUXLOOP_DATA", raising=False)
-    unset = doctor.data_check()
-    assert unset.status == "warn" and unset.remedy == "luxloop data get all"
-    assert f"LUXLOOP_DATA is not set, fetched files are in {tmp_path / 'fetched'}" in unset.found
     (tmp_path / "belgian_block.crg").touch()
-    monkeypatch.setenv("LUXLOOP_DATA", str(tmp_path))
-    found = doctor.data_check()
-    assert found.status == "ok" and found.found.startswith("1 of ") and f"LUXLOOP_DATA is {tmp_path}," in found.found
-    monkeypatch.setenv("LUXLOOP_DATA", str(tmp_path / "nowhere"))
-    nowhere = doctor.data_check()
-    assert nowhere.status == "fail" and "nowhere" in nowhere.found and nowhere.remedy == "unset LUXLOOP_DATA"
+    for folder, status, words, remedy in (
+        (None, "warn", f"LUXLOOP_DATA is not set, fetched files are in {tmp_path / 'fetched'}", "luxloop data get all"),
+        (tmp_path, "ok", f"LUXLOOP_DATA is {tmp_path},", ""),
+        (tmp_path / "nowhere", "fail", "nowhere", "unset LUXLOOP_DATA"),
+    ):
+        monkeypatch.delenv("LUXLOOP_DATA", raising=False)
+        if folder:
+            monkeypatch.setenv("LUXLOOP_DATA", str(folder))
+        found = doctor.data_check()
+        assert (found.status, found.remedy) == (status, remedy) and words in found.found
+        assert found.found.startswith("1 of ") == (status == "ok")
 
 
 def test_folder_that_cannot_be_written_to(tmp_path: Path) -> None:

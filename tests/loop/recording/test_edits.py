@@ -5,13 +5,12 @@ from pathlib import Path
 
 import pytest
 
+from luxloop import LuxloopError, Simulation
 from luxloop.loop.recording.manifest import EDITS
 from luxloop.loop.recording.recorder import Recorder
 from luxloop.loop.recording.replay import apply_edit, load, replay, rerun
 from luxloop.loop.scenario.edits import Edit, with_overrides
 from luxloop.loop.scenario.model import load as scenario
-from luxloop.loop.simulation.simulation import Simulation
-from luxloop.world.errors import LuxloopError
 from tests.lamps import SMALL_LAMP
 
 SMALL = (
@@ -47,17 +46,12 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
-def test_a_recording_with_edits_is_repeated_with_them(recorded: Path) -> None:
+def test_a_recording_with_edits_is_repeated_with_them_each_step_by_the_simulation_that_made_it(recorded: Path) -> None:
     recording = load(recorded)
     assert [(each.step, each.overrides) for each in recording.edits] == list(EDITS_MADE.items())
     assert recording.scenario == scenario("snowflake", SMALL)
     assert replay(recorded).agrees
-
-
-def test_each_step_comes_with_the_simulation_that_made_it(recorded: Path) -> None:
-    recording = load(recorded)
-    simulation = Simulation.prepare(recording.scenario)
-    there = ["light" in made_by.scenario.functions for made_by, _ in rerun(recording, simulation)]
+    there = ["light" in made_by.scenario.functions for made_by, _ in rerun(recording, Simulation.prepare(recording.scenario))]
     assert there == [False] * 4 + [True] * 2 + [False] * 3
 
 

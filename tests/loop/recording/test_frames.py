@@ -10,11 +10,10 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
+from luxloop import Exposure, Frame, LuxloopError, ProjectionCommand, Sample, Simulation, run, validate
+from luxloop.controllers.symbol.sensing.projection import Warp
 from luxloop.loop.recording.manifest import Manifest
 from luxloop.loop.recording.recorder import Recorder
-from luxloop.loop.run import run
-from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.frames import (
     FOLDER,
     SCHEMA,
@@ -29,24 +28,20 @@ from luxloop.loop.simulation.frames import (
     write_image,
     write_light,
 )
-from luxloop.loop.simulation.protocol import Exposure, Frame
 from luxloop.loop.simulation.result import StepResult
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import CameraParams
-from luxloop.perception.egomotion import Sample
-from luxloop.world.errors import LuxloopError
-from tests.loop.conftest import SMALL
+from tests.loop.conftest import SMALL, toml
 
 DRIVES = {
     "steps": 6,
     "vehicle": {"course": [{"speed_m_s": 10.0}]},
     "road": {"kind": "bumps"},
-    "sensors": {"attitude": {"heave_noise_m": 0.01}, "gyro": {"rate_hz": 200, "delay_s": 0.01}},
+    "sensors": toml("{ attitude.heave_noise_m = 0.01, gyro = { rate_hz = 200, delay_s = 0.01 } }"),
     "camera": SMALL["camera"] | {"latency_steps": 1, "drop_probability": 0.3},
     "headlight": {"model": "ssl-hd-lores", "lamps": ["left"]},
     "lighting": {"base": {"beam": "low"}},
     "functions": {
-        "symbol": SMALL["functions"]["symbol"] | {"value": 0.5, "width_m": 4.0, "length_m": 8.0, "controller": {"name": "luxloop"}}
+        "symbol": SMALL["functions"]["symbol"] | toml("{ value = 0.5, width_m = 4.0, length_m = 8.0, controller.name = 'luxloop' }")
     },
 }
 

@@ -6,13 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from luxloop import LuxloopError, load
 from luxloop.loop.recording.manifest import digests, input_files
-from luxloop.loop.scenario.model import load
 from luxloop.loop.studies.campaign import job_scenario
 from luxloop.loop.studies.objective import parse
 from luxloop.loop.studies.runs import figures
 from luxloop.loop.studies.tune import Task
-from luxloop.world.errors import LuxloopError
 
 SMALL = ["steps=1", "camera={ width_px=160, height_px=90, oversampling=1 }", "functions.symbol={ width_m=4.0, length_m=8.0 }"]
 LAMP = """

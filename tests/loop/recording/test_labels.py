@@ -11,14 +11,12 @@ import numpy as np
 import pytest
 from pycocotools.coco import COCO
 
-from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop import Scenario, Utilisation, prepare, run, validate
 from luxloop.loop.recording.frames import FrameRecorder
 from luxloop.loop.recording.labels import LabelRecorder, Labels
-from luxloop.loop.run import prepare, run
-from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.result import StepResult
-from luxloop.world.errors import LuxloopError
-from tests.loop.conftest import Lux, assert_one_sentence
+from tests.loop.conftest import Lux, assert_refused
+from tests.refusal import refusal
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation")  # of pycocotools
 
@@ -147,13 +145,11 @@ def test_kitti_boxes_lie_where_the_calibration_puts_the_objects(tmp_path: Path) 
 
 
 def test_what_cannot_be_labelled_is_said_in_a_sentence(lux: Lux, tmp_path: Path) -> None:
-    with pytest.raises(LuxloopError, match="labels = 'cocco': is no layout; choose from 'coco' and 'kitti'"):
+    with refusal("labels = 'cocco': is no layout; choose from 'coco' and 'kitti'"):
         run(street(), tmp_path / "drive", labels="cocco")  # type: ignore[arg-type]
-    code, _, error = lux("run", "small.toml", "--depth")
-    assert code == 2 and "--depth: is written beside labels; give --labels coco" in error
-    assert_one_sentence(error)
-    assert lux("run", "small.toml", "--steps", "2", "--no-report", "--no-video", "--frames", "--out", "drive")[0] == 0
-    code, _, error = lux("run", "small.toml", "--plant", "drive", "--labels", "coco", "--out", "shadow", "--no-report", "--no-video")
-    assert code == 2 and "--labels coco: the plant 'recording' does not know what is true" in error
-    assert_one_sentence(error)
+    assert_refused(lux("run", "small.toml", "--depth"), "--depth: is written beside labels")
+    bare = ("--no-report", "--no-video")
+    assert lux("run", "small.toml", "--steps", "2", "--frames", "--out", "drive", *bare)[0] == 0
+    done = lux("run", "small.toml", "--plant", "drive", "--labels", "coco", "--out", "shadow", *bare)
+    assert_refused(done, "--labels coco: the plant 'recording' does not know what is true")
     assert not (tmp_path / "shadow").exists()

@@ -17,19 +17,14 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop import ExtractionStatus, Frame, ProjectionCommand, Scenario, Simulation, run, validate
 from luxloop.loop.recording import recorder
 from luxloop.loop.recording.manifest import table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.recording.recorder import Recorder
 from luxloop.loop.recording.replay import load
-from luxloop.loop.run import run
-from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.columns import POSE, SYMBOL, loss_name
-from luxloop.loop.simulation.protocol import Frame
 from luxloop.loop.simulation.result import Clock, StepResult
-from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.caches import Part, PartialImage
 from tests.loop.conftest import SMALL
 from tests.refusal import refusal
@@ -53,21 +48,17 @@ def strict_json(file: Path) -> Any:
 
 
 def test_row_has_plain_values_in_the_units_of_their_names(small_simulation: Simulation, small_results: list[StepResult]) -> None:
-    result = small_results[0]
-    all_values = row(result)
-    names = schema(small_simulation).names
-    assert {type(all_values[name]) for name in names if name != "dark_lx_max"} == {int, float, str}
-    assert all_values["dark_lx_max"] is None, "nothing must be dark"
-    values = {name: all_values[f"functions.symbol.{name}"] for name in SYMBOL}
-    assert [values[name] for name in POSE] == pytest.approx([19.0, 1.0, 5.0, -2.0])
-    assert values["z_m"] == 0.0
-    assert values["pose_error_roll_deg"] == pytest.approx(math.degrees(result.symbol.measurement.pose_error[2]))
-    assert values["br_v"] == result.symbol.measurement.appearance.centroids[4, 1].item()
-    assert result.symbol.metrics is not None
-    assert values["centroid_error_y_percent"] == result.symbol.metrics.centroid_percent[1].item()
-    assert values["loss"] == ""
+    result, names = small_results[0], schema(small_simulation).names
+    values, symbol = row(result), result.symbol
+    assert {type(values[name]) for name in names if name != "dark_lx_max"} == {int, float, str}
+    assert values["dark_lx_max"] is None, "nothing must be dark"
+    held = {name: values[f"functions.symbol.{name}"] for name in SYMBOL}
+    assert [held[name] for name in (*POSE, "z_m")] == pytest.approx([19.0, 1.0, 5.0, -2.0, 0.0]) and held["loss"] == ""
+    assert held["pose_error_roll_deg"] == pytest.approx(math.degrees(symbol.measurement.pose_error[2]))
+    assert held["br_v"] == symbol.measurement.appearance.centroids[4, 1].item()
+    assert held["centroid_error_y_percent"] == symbol.metrics.centroid_percent[1].item()
     assert {f"{part}_ms" for part in ("plan", "light", "look", "control", "processing")} == {name for name in names if name.endswith("_ms")}
-    assert all_values["look_ms"] == result.timings["plant"] + result.timings["look"], "rendering is no part of the car"
+    assert values["look_ms"] == result.timings["plant"] + result.timings["look"], "rendering is no part of the car"
 
 
 def test_what_the_plant_computes_of_a_frame_where_it_is_read_is_no_time_of_the_car() -> None:
@@ -99,20 +90,17 @@ def test_recording_is_complete(tmp_path: Path, small_simulation: Simulation, sma
     record(directory, small_simulation, small_results)
     assert sorted(path.name for path in directory.iterdir()) == ["manifest.json", "summary.json", "trajectory.parquet"]
     manifest = strict_json(directory / "manifest.json")
-    assert manifest["status"] == "complete"
-    assert manifest["renderer"] == small_simulation.world.source.name
+    assert (manifest["status"], manifest["renderer"]) == ("complete", small_simulation.world.source.name)
     assert validate(manifest["scenario"], "manifest") == small_simulation.scenario
     symbol = ROOT / "scenarios" / "symbols" / "snowflake.png"
     assert manifest["inputs"]["functions.symbol.image snowflake.png"]["sha256"] == hashlib.sha256(symbol.read_bytes()).hexdigest()
-    table = pq.read_table(directory / "trajectory.parquet")
-    columns = schema(small_simulation)
-    assert table.schema.equals(columns, check_metadata=True)
-    assert table.schema.field("functions.symbol.pitch_deg").metadata[b"unit"] == b"deg"
+    table, columns = pq.read_table(directory / "trajectory.parquet"), schema(small_simulation)
+    assert table.schema.equals(columns, check_metadata=True) and columns.field("functions.symbol.pitch_deg").metadata[b"unit"] == b"deg"
     assert table.equals(table_of([row(result) for result in small_results], columns))
     summary = strict_json(directory / "summary.json")
     assert summary["steps"] == len(small_results)
-    iou_open = summary["functions"]["symbol"]["iou_open"]
-    assert iou_open == pytest.approx(1, abs=0.02)  # open loop on a flat road is the target itself but for shadows and facets
+    # open loop on a flat road is the target itself but for shadows and facets
+    assert summary["functions"]["symbol"]["iou_open"] == pytest.approx(1, abs=0.02)
 
 
 @pytest.mark.parametrize("done", [1, 5])

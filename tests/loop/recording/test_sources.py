@@ -5,11 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from luxloop import LuxloopError, load, prepare
 from luxloop.loop.recording.manifest import Manifest, digests
 from luxloop.loop.recording.sources import sources_of
-from luxloop.loop.run import prepare
-from luxloop.loop.scenario.model import load
-from luxloop.world.errors import LuxloopError
 
 FILES = {
     "own_pkg/__init__.py": "raise RuntimeError('imported')",

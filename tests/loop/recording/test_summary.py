@@ -10,12 +10,12 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from luxloop import load
 from luxloop.loop.recording import functions_summary as of_run
 from luxloop.loop.recording.manifest import table_of
 from luxloop.loop.recording.remedies import remedies
 from luxloop.loop.recording.summary import Circumstances, overshoot_percent, settle_step, settling_failure, steady_step, summarise
 from luxloop.loop.report import run_table
-from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.columns import SYMBOL
 
 SCHEMA = pa.schema([("step", pa.int64()), *((name, pa.string() if name == "loss" else pa.float64()) for name in SYMBOL)])
@@ -50,12 +50,11 @@ def test_oscillation_overshoots_by_its_damping() -> None:
 
 
 def test_overshoot_is_the_largest_of_the_axes_that_start_far_off() -> None:
-    x = np.array([20.0, -4.0, *[0.0] * 20])  # 20 %
-    y = np.array([-10.0, 5.0, *[0.0] * 20])  # 50 %
-    near = np.array([4.0, -4.0, *[0.0] * 20])  # 100 %, of an axis that starts less than 5 % off
-    assert overshoot_percent(table(22, centroid_error_x_percent=x, centroid_error_y_percent=y)) == pytest.approx(50)
-    assert overshoot_percent(table(22, centroid_error_x_percent=x, centroid_error_y_percent=near)) == pytest.approx(20)
-    assert overshoot_percent(table(22, centroid_error_x_percent=near)) is None
+    twenty, fifty = [20.0, -4.0], [-10.0, 5.0]
+    near = [4.0, -4.0]  # 100 %, of an axis that starts less than 5 % off
+    for x, y, expected in ((twenty, fifty, 50), (twenty, near, 20), (near, [0.0, 0.0], None)):
+        off = {f"centroid_error_{axis}_percent": np.array([*start, *[0.0] * 20]) for axis, start in (("x", x), ("y", y))}
+        assert overshoot_percent(table(22, **off)) == (expected if expected is None else pytest.approx(expected))
 
 
 @pytest.mark.parametrize(
@@ -63,20 +62,14 @@ def test_overshoot_is_the_largest_of_the_axes_that_start_far_off() -> None:
     [("centroid_error_x_percent", 0, 2.01), ("centroid_error_y_percent", 0, -2.01), ("length", 1, 1.021), ("shear", 0, 0.021)],
 )
 def test_every_quantity_has_to_stay_within_its_band(column: str, rest: float, outside: float) -> None:
-    values = np.where(np.arange(40) == 12, outside, rest)
-    assert steady_step(table(**{column: values})) == 13
-    inside = np.where(np.arange(40) == 12, rest + 0.95 * (outside - rest), rest)
-    assert steady_step(table(**{column: inside})) == 0
+    for value, step in ((outside, 13), (rest + 0.95 * (outside - rest), 0)):
+        assert steady_step(table(**{column: np.where(np.arange(40) == 12, value, rest)})) == step
 
 
-def test_never_settling() -> None:
+def test_never_settling_and_too_few_steps() -> None:
     assert steady_step(table(centroid_error_x_percent=10 * np.sin(np.arange(40)))) is None
     late = np.where(np.arange(40) < 31, 5.0, 0.0)  # at rest for the last nine steps only
-    assert steady_step(table(centroid_error_x_percent=late)) is None
-
-
-def test_ten_steps_are_needed() -> None:
-    assert steady_step(table(9)) is None
+    assert steady_step(table(centroid_error_x_percent=late)) is steady_step(table(9)) is None
     assert steady_step(table(10)) == 0
 
 
@@ -115,19 +108,15 @@ def test_only_a_symbol_that_is_seen_on_its_target_has_settled(recorded: pa.Table
     assert settle_step(recorded) == (steady_step(recorded) if why is None else None)
 
 
+WENT_WRONG = [
+    table(9),
+    *(table(loss=[reason] * 40) for reason in ("nothing", "no_frame", "covered")),
+    *(table(**{OFF: off}) for off in (12.0, np.arange(40), math.nan)),
+]
+
+
 @pytest.mark.parametrize("controller", ["open", "thesis_pid", "feedforward", "luxloop"])
-@pytest.mark.parametrize(
-    "recorded",
-    [
-        table(9),
-        table(loss=["nothing"] * 40),
-        table(loss=["no_frame"] * 40),
-        table(loss=["covered"] * 40),
-        table(**{OFF: 12.0}),
-        table(**{OFF: np.arange(40)}),
-        table(**{OFF: math.nan}),
-    ],
-)
+@pytest.mark.parametrize("recorded", WENT_WRONG)
 def test_the_closing_table_says_what_went_wrong_and_names_keys_that_exist(recorded: pa.Table, controller: str) -> None:
     note = closing({"symbol": summarise(recorded, controller, 0.0)})["note"]
     keys = re.findall(r"\b(?:functions\.symbol|camera|disturbances)(?:\.[a-z_]+)+|\bjudge_every\b|(?<=raise )steps\b", note)

@@ -9,14 +9,12 @@ from typing import Any
 
 import pytest
 
+from luxloop import LuxloopError, load, run
 from luxloop.loop.commands import cli
 from luxloop.loop.recording.manifest import MANIFEST, Manifest, digests
 from luxloop.loop.recording.replay import replay
-from luxloop.loop.run import run
-from luxloop.loop.scenario.model import load
 from luxloop.loop.studies import campaign
 from luxloop.world import plugin
-from luxloop.world.errors import LuxloopError
 from tests.refusal import refusal
 
 MINE = """

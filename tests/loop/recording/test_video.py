@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop import LuxloopError, ProjectionCommand, Simulation
 from luxloop.loop.recording.video import Picture, VideoWriter, tone_map
 from luxloop.loop.report.picture import LOST_RGB, SEEN_RGB, TARGET_RGB, frame_picture, white_of
 from luxloop.loop.simulation.result import StepResult
-from luxloop.loop.simulation.simulation import Simulation
-from luxloop.world.errors import LuxloopError
 
 
 def decoded(file: Path) -> list[np.ndarray]:
@@ -35,22 +33,15 @@ def drawn(result: StepResult, simulation: Simulation) -> Picture:
 
 def test_picture_has_the_cameras_size_and_shows_symbol_and_target(small_simulation: Simulation, small_results: list[StepResult]) -> None:
     picture = drawn(small_results[-1], small_simulation)
-    assert picture.shape == (180, 320, 3)
-    assert picture.dtype == np.uint8
+    assert picture.shape == (180, 320, 3) and picture.dtype == np.uint8
     between = picture[90:130]  # insets and captions
-    assert shows(between, SEEN_RGB) and shows(between, TARGET_RGB)
-    assert shows(picture[:90, :60], TARGET_RGB)
-
-
-def test_symbol_is_outlined_where_it_is(small_simulation: Simulation, small_results: list[StepResult]) -> None:
+    assert shows(between, SEEN_RGB) and shows(between, TARGET_RGB) and shows(picture[:90, :60], TARGET_RGB)
     result = small_results[0]
     seen = result.symbol.measurement
-    nothing = replace(seen, symbol=torch.zeros_like(seen.symbol))
-    bare = replace(result, held={"symbol": replace(result.symbol, measurement=nothing)})
-    changed = (drawn(result, small_simulation) != drawn(bare, small_simulation)).any(-1)
-    v, u = np.nonzero(changed)
+    bare = replace(result, held={"symbol": replace(result.symbol, measurement=replace(seen, symbol=torch.zeros_like(seen.symbol)))})
+    v, u = np.nonzero((drawn(result, small_simulation) != drawn(bare, small_simulation)).any(-1))
     crop, (lit_v, lit_u) = seen.crop, torch.nonzero(seen.symbol > 0.5).T
-    assert (v.min(), v.max()) == (int(lit_v.min()) + crop.v_start, int(lit_v.max()) + crop.v_start)
+    assert (v.min(), v.max()) == (int(lit_v.min()) + crop.v_start, int(lit_v.max()) + crop.v_start), "its outline is where it is"
     assert (u.min(), u.max()) == (int(lit_u.min()) + crop.u_start, int(lit_u.max()) + crop.u_start)
 
 

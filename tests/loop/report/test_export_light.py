@@ -1,4 +1,4 @@
-"""`luxloop export light`: the light of each module at one time, in files that agree with the simulation and with each other."""
+"""`luxloop export`: the light of each module at one time, in files that agree with the simulation and with each other."""
 
 from pathlib import Path
 
@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from luxloop.loop.scenario.model import load
-from luxloop.world.photometry import read_photometry
-from tests.loop.conftest import Lux, assert_one_sentence, simulation_of
+from luxloop import load, read_photometry
+from tests.loop.conftest import Lux, assert_refused, simulation_of
 
 AT_S = 0.3
 SMALL = ["camera.width_px=320", "camera.height_px=133", "renderer=raycast"]
@@ -60,16 +59,18 @@ def test_a_single_module_has_the_file_alone_and_may_be_dark(lux: Lux, tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("arguments", "part"),
+    ("line", "words"),
     [
-        (["--out", "a.txt"], "--out a.txt: gives no format of light; end it in .npz, .ies or .ldt"),
-        (["--out", "a.ies", "--step-deg", "0"], "--step-deg 0: give an angle step"),
-        (["--out", "a.ldt", "--step-deg", "9"], "--step-deg 9: give an angle step"),
-        (["--out", "a.npz", "--at", "-1"], "--at -1: small lasts 0.1 s"),
+        ("light small.toml --out a.txt", "--out a.txt: gives no format of light; end it in .npz, .ies or .ldt"),
+        ("light small.toml --out a.ies --step-deg 0", "--step-deg 0: give an angle step"),
+        ("light small.toml --out a.ldt --step-deg 9", "--step-deg 9: give an angle step"),
+        ("light small.toml --out a.npz --at -1", "--at -1: small lasts 0.1 s"),
+        ("scene small.toml --at 100 --out a.glb", "--at 100: small lasts 0.1 s; give a time in it"),
+        ("scene small.toml --at nan --out a.glb", "--at nan"),
+        ("scene small.toml --out a.obj", "--out a.obj: gives no format of a scene; end it in .glb"),
+        ("scene small.toml --out no/where/a.glb", "no/where/a.glb: cannot be written"),
     ],
 )
-def test_what_cannot_be_written_is_said_in_a_sentence(arguments: list[str], part: str, lux: Lux, tmp_path: Path) -> None:
-    code, _, error = lux("export", "light", "small.toml", *arguments)
-    assert code == 2 and part in error
-    assert_one_sentence(error)
+def test_what_cannot_be_written_is_said_in_a_sentence(line: str, words: str, lux: Lux, tmp_path: Path) -> None:
+    assert_refused(lux("export", *line.split()), words)
     assert [file.name for file in tmp_path.iterdir()] == ["small.toml"]

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from luxloop import load, validate
 from luxloop.loop.report.export_scene import SCENE, T_GLTF_WORLD, write_scene
-from luxloop.loop.scenario.model import load, validate
-from tests.loop.conftest import Lux, assert_one_sentence, simulation_of
+from tests.loop.conftest import Lux, box, simulation_of
 
 AT_S = 0.5
 SMALL = ["camera.width_px=320", "camera.height_px=160", "renderer=raycast"]
@@ -64,10 +64,7 @@ def tree(file: Path) -> dict[str, Any]:
 
 def test_no_name_of_an_object_is_taken_and_albedos_are_exact(tmp_path: Path) -> None:
     names = ["world", "scene", "camera", "road"]
-    objects = [
-        {"kind": "box", "name": each, "size_m": [1.0, 1.0, 1.0], "albedo": 0.0018 + 1e-4 * k, "track": [{"position_m": [10.0 + k, 0, 0]}]}
-        for k, each in enumerate(names)
-    ]
+    objects = [box(each, (1.0, 1.0, 1.0), (10.0 + k, 0.0, 0.0), albedo=0.0018 + 1e-4 * k) for k, each in enumerate(names)]
     scenario = validate({"name": "boxes", "renderer": "raycast", "headlight": {"model": "ssl-hd-lores"}, "objects": objects}, "boxes")
     write_scene(simulation_of(scenario), 0.0, tmp_path / "boxes.glb")
     found = tree(tmp_path / "boxes.glb")
@@ -82,19 +79,3 @@ def same(triangles: np.ndarray, others: np.ndarray) -> None:
     """Triangles `[n, 3, 3]` m in any order, compared by the distances of their corners from a place that none of them is near to."""
     found, wanted = (np.sort(np.linalg.norm(each.reshape(-1, 3) - [3.0, -50.0, 20.0], axis=1)) for each in (triangles, others))
     assert found == pytest.approx(wanted, abs=1e-4), "in single precision, 100 m away"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "part"),
-    [
-        (["--at", "100", "--out", "a.glb"], "--at 100: small lasts 0.1 s; give a time in it"),
-        (["--at", "nan", "--out", "a.glb"], "--at nan"),
-        (["--out", "a.obj"], "--out a.obj: gives no format of a scene; end it in .glb"),
-        (["--out", "no/where/a.glb"], "no/where/a.glb: cannot be written"),
-    ],
-)
-def test_what_cannot_be_written_is_said_in_a_sentence(arguments: list[str], part: str, lux: Lux, tmp_path: Path) -> None:
-    code, _, error = lux("export", "scene", "small.toml", *arguments)
-    assert code == 2 and part in error
-    assert_one_sentence(error)
-    assert [file.name for file in tmp_path.iterdir()] == ["small.toml"]

@@ -10,19 +10,19 @@ import pytest
 import torch
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
+from luxloop import Lamp, Module, Scenario, idealised, pose_from_degrees, show_headlight, validate
 from luxloop.loop.report import headlight
 from luxloop.loop.report.charts import distance_marks, isolines, steps, wall_angles
 from luxloop.loop.report.facts import borders_deg, flux_lm, peak
-from luxloop.loop.report.headlight import facts, reach_m, show_headlight
+from luxloop.loop.report.headlight import facts, reach_m
 from luxloop.loop.report.styles import VIEWS
 from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, LitCar, Road, beside, birdseye, driver, grey
-from luxloop.loop.scenario.model import Scenario, validate
-from luxloop.world.frames import View, pose_from_degrees
+from luxloop.world.frames import View
 from luxloop.world.headlight import Headlight
-from luxloop.world.headlight.lamp import Lamp, Module
-from luxloop.world.lamps.presets import idealised
 from luxloop.world.light.volumetric import Medium
+from tests.loop.conftest import box, toml
 from tests.refusal import refusal
 
 
@@ -100,8 +100,8 @@ def test_driver_sees_albedo_times_illuminance_by_pi(car: LitCar, road: Road) -> 
 
 
 def test_objects_of_a_scenario_throw_shadows(car: LitCar) -> None:
-    box = {"kind": "box", "name": "box", "size_m": [1.0, 12.0, 2.0], "track": [{"position_m": [20.0, 0.0, 0.0]}]}
-    seen = Road(scenario(objects=[box])).look(car, birdseye(0.5))
+    wall = box("box", (1.0, 12.0, 2.0), (20.0, 0.0, 0.0))
+    seen = Road(scenario(objects=[wall])).look(car, birdseye(0.5))
     behind, before = (round((x - BIRDSEYE_X_M[0]) / 0.5) for x in (30.0, 15.0))
     assert seen.illuminance[40, behind] == 0 and seen.illuminance[40, before] > 0.5
 
@@ -151,27 +151,25 @@ def test_fog_scatters_the_light_of_the_sky_too(lamps: dict[str, Lamp]) -> None:
     assert near == pytest.approx(clear * through + 1000 / (2 * math.pi) * (1 - through), rel=1e-4)
 
 
-@pytest.mark.parametrize("kind", ["flat", "grade", "bumps"])
-def test_distances_stand_where_the_road_is(kind: str, car: LitCar) -> None:
-    steep = {"kind": kind, **({"grade_percent": 3.0} if kind == "grade" else {})}
-    seen = Road(scenario(road=steep, surface={"grain": 0.0, "lane_width_m": 5.0})).look(car, driver(960))
-    axes = Figure().subplots()
-    distance_marks(axes, seen, 5.0)
-    assert len(axes.texts) >= 4
-    for text in axes.texts:
-        metres = float(text.get_text().split()[1])
-        u, v = text.get_position()
+@pytest.mark.parametrize("road", ["{ kind='flat' }", "{ kind='grade', grade_percent=3.0 }", "{ kind='bumps' }"])
+def test_distances_stand_where_the_road_is_and_nothing_hides_them(road: str, car: LitCar) -> None:
+    def marks(lane_width_m: float, *objects: dict[str, object]) -> tuple[View, list[Text]]:
+        given = {"road": toml(road), "surface": {"grain": 0.0, "lane_width_m": lane_width_m}, "objects": objects}
+        seen, axes = Road(scenario(**given)).look(car, driver(960)), Figure().subplots()
+        distance_marks(axes, seen, lane_width_m)
+        return seen, axes.texts
+
+    seen, texts = marks(5.0)
+    assert len(texts) >= 4
+    for text in texts:
+        metres, (u, v) = float(text.get_text().split()[1]), text.get_position()
         x, y, _ = seen.surfaces.position[:, int(v), int(u)]
         # A row is 6 m of a flat road 100 m ahead.
         assert float(x) == pytest.approx(metres, abs=0.7 * metres**2 / 1319 + 0.05)
         assert float(y) == pytest.approx(-2.65, abs=0.1)
-
-
-def test_distances_that_something_hides_are_left_out(car: LitCar) -> None:
-    box = {"kind": "box", "name": "box", "size_m": [1.0, 20.0, 3.0], "track": [{"position_m": [25.0, 0.0, 0.0]}]}
-    axes = Figure().subplots()
-    distance_marks(axes, Road(scenario(objects=[box])).look(car, driver(960)), 3.5)
-    assert {text.get_text() for text in axes.texts} == {"– 10 m", "– 20 m"}
+    if "flat" in road:
+        _, texts = marks(3.5, box("box", (1.0, 20.0, 3.0), (25.0, 0.0, 0.0)))
+        assert {text.get_text() for text in texts} == {"– 10 m", "– 20 m"}
 
 
 def test_flux_of_a_uniform_texture_is_its_solid_angle(light: Headlight) -> None:
@@ -238,25 +236,13 @@ def quick(monkeypatch: pytest.MonkeyPatch, road: Road) -> None:
 
 @pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.usefixtures("quick")
-def test_each_view_in_each_style_is_a_readable_picture(view: str, lamps: dict[str, Lamp], tmp_path: Path) -> None:
+def test_each_view_in_each_style_is_a_readable_picture_of_a_dark_lamp_as_well(view: str, lamps: dict[str, Lamp], tmp_path: Path) -> None:
     for style in VIEWS[view]:
-        file = show_headlight(lamps, tmp_path / f"{style}.png", view=view, style=style)
-        picture = cv2.imread(str(file))
+        picture = cv2.imread(str(show_headlight(lamps, tmp_path / f"{style}.png", view=view, style=style)))
         assert picture.shape[1] >= 500 and picture.std() > 10
+    if view in ("wall", "pixels", "overview"):
+        assert cv2.imread(str(show_headlight({"right": lamps["right"]}, tmp_path / "dark.png", beam="off", view=view))) is not None
     assert {path.suffix for path in tmp_path.iterdir()} == {".png"}, "nothing half-written is left"
-
-
-@pytest.mark.parametrize("view", ["wall", "pixels", "overview"])
-@pytest.mark.usefixtures("quick")
-def test_a_dark_lamp_can_be_shown(view: str, lamps: dict[str, Lamp], tmp_path: Path) -> None:
-    file = show_headlight({"right": lamps["right"]}, tmp_path / "dark.jpg", beam="off", view=view)
-    assert cv2.imread(str(file)) is not None
-
-
-@pytest.mark.parametrize("sides", [(), ("middle",), ("left", "rigth")])
-def test_lamps_are_on_the_left_and_on_the_right(sides: tuple[str, ...], lamps: dict[str, Lamp], tmp_path: Path) -> None:
-    with refusal("'left' and 'right', or one of them"):
-        show_headlight({side: lamps["left"] for side in sides}, tmp_path / "beam.png", view="wall")
 
 
 def test_a_scenario_turns_the_modules_that_can_be_turned(bending: dict[str, Lamp], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -271,39 +257,42 @@ def test_a_scenario_turns_the_modules_that_can_be_turned(bending: dict[str, Lamp
     assert cars[0].intensity(h, torch.tensor([-1.0])) > 0 == LitCar(bending, cars[0].patterns).intensity(h, torch.tensor([-1.0]))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"view": "drivr"}, "no view 'drivr'; did you mean 'driver'"),
-        ({"view": "wall", "style": "isolxu"}, "no style 'isolxu'; did you mean 'isolux'"),
-        ({"view": "driver", "style": "isocandela"}, "'driver'.*'isocandela'; it has luminance, falsecolour, isolux"),
-        ({"beam": "hihg"}, "no beam 'hihg'; it has low, full, off"),
-        ({"out": Path("beam.bmp")}, r"beam.bmp: pictures are written as .png"),
-        ({"visibility_m": 0.0, "view": "volume"}, "visibility of 0 m"),
-        ({"visibility_m": math.nan, "view": "volume"}, "visibility of nan m"),
-        ({"visibility_m": math.inf, "view": "volume"}, "visibility of inf m"),
-        ({"visibility_m": 50.0, "view": "driver"}, "'driver' has no fog.*'volume'"),
-        ({"scenario": scenario(), "view": "pixels"}, "'pixels' shows the lamps by themselves.*scenario"),
-        ({"scenario": scenario(), "view": "texture"}, "'texture' shows the lamps by themselves.*scenario"),
-        ({"scenario": scenario(headlight={"swivel_deg": 20.0}), "view": "wall"}, "module 'bend': swivel of 20 deg is out of its range"),
-        ({"beam": {"right": [torch.ones(800)] * 2}}, "no utilisations for the left lamp"),
-        ({"beam": {"left": [torch.ones(800)], "right": []}}, "left lamp: 1 utilisations for 2 modules"),
-        ({"beam": {side: [torch.ones(800), torch.ones(5)] for side in ("left", "right")}}, r"left lamp, module 'bend'.*shape \(5,\).*800"),
-        ({"beam": {side: [torch.ones(800), torch.full((800,), math.nan)] for side in ("left", "right")}}, "'bend'.*from 0 to 1"),
-        ({"beam": {side: [torch.full((800,), 7.0), torch.ones(800)] for side in ("left", "right")}}, "'main'.*from 0 to 1"),
-        ({"beam": {side: [torch.full((800,), -1.0), torch.ones(800)] for side in ("left", "right")}}, "'main'.*from 0 to 1"),
-    ],
-)
-def test_what_is_wrong_is_named(arguments: dict[str, object], message: str, bending: dict[str, Lamp], tmp_path: Path) -> None:
+def both(*of_modules: torch.Tensor) -> dict[str, object]:
+    return {"beam": {side: [*of_modules] for side in ("left", "right")}}
+
+
+FULL = torch.ones(800)
+WRONG = {
+    "no view 'drivr'; did you mean 'driver'": {"view": "drivr"},
+    "no style 'isolxu'; did you mean 'isolux'": {"view": "wall", "style": "isolxu"},
+    "'driver'.*'isocandela'; it has luminance, falsecolour, isolux": {"view": "driver", "style": "isocandela"},
+    "no beam 'hihg'; it has low, full, off": {"beam": "hihg"},
+    r"beam.bmp: pictures are written as .png": {"out": Path("beam.bmp")},
+    "beam.png: cannot be written": {"out": Path(__file__) / "beam.png", "view": "wall"},
+    "visibility of 0 m": {"visibility_m": 0.0, "view": "volume"},
+    "visibility of nan m": {"visibility_m": math.nan, "view": "volume"},
+    "visibility of inf m": {"visibility_m": math.inf, "view": "volume"},
+    "'driver' has no fog.*'volume'": {"visibility_m": 50.0, "view": "driver"},
+    "'pixels' shows the lamps by themselves.*scenario": {"scenario": scenario(), "view": "pixels"},
+    "'texture' shows the lamps by themselves.*scenario": {"scenario": scenario(), "view": "texture"},
+    "module 'bend': swivel of 20 deg is out of its range": {"scenario": scenario(headlight={"swivel_deg": 20.0}), "view": "wall"},
+    "no utilisations for the left lamp": {"beam": {"right": [FULL] * 2}},
+    "left lamp: 1 utilisations for 2 modules": {"beam": {"left": [FULL], "right": []}},
+    r"left lamp, module 'bend'.*shape \(5,\).*800": both(FULL, torch.ones(5)),
+    "'bend'.*from 0 to 1": both(FULL, FULL * math.nan),
+    "'main'.*from 0 to 1": both(7 * FULL, FULL),
+    "'main'.*from 0 to 1.*": both(-FULL, FULL),
+}
+
+
+@pytest.mark.parametrize("message", WRONG)
+def test_what_is_wrong_is_named(message: str, bending: dict[str, Lamp], tmp_path: Path) -> None:
     with refusal(message):
-        show_headlight(bending, **{"out": tmp_path / "beam.png", **arguments})  # type: ignore[arg-type]
+        show_headlight(bending, **{"out": tmp_path / "beam.png", **WRONG[message]})  # type: ignore[arg-type]
+    for sides in ((), ("middle",), ("left", "rigth")):
+        with refusal("'left' and 'right', or one of them"):
+            show_headlight({side: bending["left"] for side in sides}, tmp_path / "beam.png", view="wall")
     assert not list(tmp_path.iterdir())
-
-
-def test_a_folder_that_cannot_be_written_is_named(lamps: dict[str, Lamp], tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with refusal("cannot be written"):
-        show_headlight(lamps, tmp_path / "file" / "beam.png", view="wall")
 
 
 def test_left_and_right_textures_are_to_one_scale_and_to_the_right(lamps: dict[str, Lamp]) -> None:

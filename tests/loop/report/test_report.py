@@ -3,29 +3,28 @@
 import gc
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pyarrow as pa
 import pytest
 import torch
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from luxloop import ExtractionStatus, Scenario, Simulation, run, validate
 from luxloop.loop.recording.functions_summary import summary_of
 from luxloop.loop.recording.manifest import REPORT, table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.report.highlights import Highlights, SymbolHistory
 from luxloop.loop.report.page import DPI, LIGHT_IN, WIDE_IN, _from_near, write_report
 from luxloop.loop.report.symbol import HIGH_IN, _courses
-from luxloop.loop.run import run
-from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.columns import of_one
 from luxloop.loop.simulation.result import StepResult
-from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.frames import View
 from tests.lamps import SMALL_LAMP
-from tests.loop.conftest import SMALL, simulation_of
+from tests.loop.conftest import SMALL, box, simulation_of, toml
 
 SYMBOL = SMALL["functions"]["symbol"]
 
@@ -45,6 +44,19 @@ def drawn(file: Path, simulation: Simulation, results: list[StepResult]) -> np.n
 
 def size(height_in: float) -> tuple[int, int, int]:
     return (round(DPI * height_in), round(DPI * WIDE_IN), 3)
+
+
+@pytest.fixture
+def table(small_simulation: Simulation, small_results: list[StepResult]) -> pa.Table:
+    """Of the symbol."""
+    return of_one(table_of([row(result) for result in small_results], schema(small_simulation)), "symbol")
+
+
+def courses(function: Any, table: pa.Table, **summary: Any) -> list[Axes]:
+    figure = Figure()
+    given = {"settle_step": None, "iou_open": None, "unsettled": "too_short"} | summary
+    _courses(figure.add_subfigure(figure.add_gridspec()[0]), function, SymbolHistory("symbol", 12), table, given)
+    return figure.axes
 
 
 def lost(result: StepResult) -> StepResult:
@@ -79,7 +91,7 @@ def test_page_of_an_unlucky_run(which: str, tmp_path: Path, small_simulation: Si
 @pytest.mark.slow
 def test_page_of_two_lamps_seen_from_above(tmp_path: Path) -> None:
     lamps = {"model": SMALL_LAMP, "lamps": ["left", "right"]}
-    symbol = SYMBOL | {"modules": ["left", "right"], "features": {"view": "birdseye", "shape": "moments"}}
+    symbol = SYMBOL | toml("{ modules = ['left', 'right'], features = { view = 'birdseye', shape = 'moments' } }")
     simulation = simulation_of(validate(SMALL | {"headlight": lamps, "functions": {"symbol": symbol}, "steps": 2}, "two lamps"))
     assert len(simulation.symbol.projector.modules) == 2
     assert drawn(tmp_path / "report.png", simulation, list(simulation.evaluations())).shape == size(HIGH_IN)
@@ -87,9 +99,9 @@ def test_page_of_two_lamps_seen_from_above(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_page_has_all_light_and_then_each_symbol(tmp_path: Path) -> None:
-    box = {"kind": "box", "name": "box", "category": "car", "size_m": [1.0, 0.5, 0.6], "track": [{"position_m": [25, 0, 0]}]}
+    car = box("box", (1.0, 0.5, 0.6), (25.0, 0.0, 0.0), category="car")
     functions = {name: SYMBOL | {"y_m": y_m, "start": {"x_m": 17.0, "y_m": y_m}} for name, y_m in (("left", 1.6), ("right", -1.6))}
-    simulation = simulation_of(validate(SMALL | {"objects": [box], "functions": functions, "steps": 4}, "lit"))
+    simulation = simulation_of(validate(SMALL | {"objects": [car], "functions": functions, "steps": 4}, "lit"))
     results = list(simulation.evaluations())
     assert drawn(tmp_path / "both.png", simulation, results).shape == size(LIGHT_IN + 2 * HIGH_IN)
     without = [replace(result, held={name: each for name, each in result.held.items() if name == "right"}) for result in results]
@@ -98,17 +110,13 @@ def test_page_has_all_light_and_then_each_symbol(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("z_m", "least_m"), [(0.0, 0.01), (4e-4, 0.01), (0.05, 0.05)])
 def test_the_pose_shows_height_on_an_axis_of_a_centimetre_at_least(
-    z_m: float, least_m: float, small_simulation: Simulation, small_results: list[StepResult]
+    z_m: float, least_m: float, small_simulation: Simulation, table: pa.Table
 ) -> None:
-    table = of_one(table_of([row(result) for result in small_results], schema(small_simulation)), "symbol")
     function = small_simulation.symbol.function
     held = {"x_m": function.x_m, "y_m": function.y_m + 1e-4, "roll_deg": 0.0, "pitch_deg": 0.0, "z_m": z_m}
     for name, value in held.items():
         table = table.set_column(table.column_names.index(name), name, pa.array([value] * table.num_rows))
-    figure = Figure()
-    summary = {"settle_step": None, "iou_open": None, "unsettled": "too_short"}
-    _courses(figure.add_subfigure(figure.add_gridspec()[0]), function, SymbolHistory("symbol", 12), table, summary)
-    pose = figure.axes[1]
+    _, pose, *_ = courses(function, table)
     lines = {str(line.get_label()): line for line in pose.get_lines()}
     assert ("z" in lines) == bool(z_m) and (not z_m or np.asarray(lines["z"].get_ydata()).tolist() == [z_m] * 12)
     low, high = pose.get_ylim()
@@ -116,23 +124,14 @@ def test_the_pose_shows_height_on_an_axis_of_a_centimetre_at_least(
 
 
 def test_evaluations_far_apart_are_joined_and_where_there_are_none_the_chart_says_why(
-    small_simulation: Simulation, small_results: list[StepResult]
+    small_simulation: Simulation, table: pa.Table
 ) -> None:
-    table = of_one(table_of([row(result) for result in small_results], schema(small_simulation)), "symbol")
-    at = table.column_names.index("iou")
-    for iou, unsettled, told in (([0.5, None, None, 0.7] * 3, "too_short", ""), ([None] * 12, "not_judged", "not evaluated, b")):
-        figure, values = Figure(), pa.array(iou, pa.float64())
-        summary = {"settle_step": None, "iou_open": None, "unsettled": unsettled, "judge_every": None}
-        _courses(
-            figure.add_subfigure(figure.add_gridspec()[0]),
-            small_simulation.symbol.function,
-            SymbolHistory("symbol", 12),
-            table.set_column(at, "iou", values),
-            summary,
-        )
-        (line,) = (line for axes in figure.axes for line in axes.get_lines() if line.get_label() == "IoU")
+    at, function = table.column_names.index("iou"), small_simulation.symbol.function
+    for iou, unsettled, told in (([0.5, None, None, 0.7] * 3, "too_short", []), ([None] * 12, "not_judged", ["not evaluated, b"])):
+        axes = courses(function, table.set_column(at, "iou", pa.array(iou, pa.float64())), unsettled=unsettled, judge_every=None)
+        (line,) = (line for each in axes for line in each.get_lines() if line.get_label() == "IoU")
         assert np.asarray(line.get_ydata()).tolist() == [each for each in iou if each is not None]
-        assert [text.get_text()[:16] for text in figure.axes[2].texts if text.get_text()] == ([told] if told else [])
+        assert [text.get_text()[:16] for text in axes[2].texts if text.get_text()] == told
 
 
 def test_light_from_above_is_looked_at_closely_where_it_is() -> None:

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from luxloop.loop.scenario.model import load
-from luxloop.world.errors import LuxloopError
+from luxloop import LuxloopError, load
 
 SYMBOL = """
 name = "good"

@@ -7,72 +7,86 @@ from typing import Any
 
 import pytest
 
-from luxloop.loop.scenario.model import load
+from luxloop import load
 from luxloop.loop.scenario.shipped import scenario_files
-from luxloop.world.errors import LuxloopError
 from tests.loop.scenario.files import BOX, GOOD, LIT, PID, SYMBOL, failure, is_one_sentence
+from tests.refusal import refusal
 
 # what is wrong, what the file has then, what the sentence must name: the key and the remedy
 BROKEN = {
-    "unknown key": ('stepps = 3\nname = "x"', ["stepps", "'steps'"]),
-    "unknown key far from any": ('zzz = 3\nname = "x"', ["zzz", "known are", "camera"]),
-    "typo in a variant": (GOOD + '[road]\nkind = "bumps"\nsead = 3', ["road.sead", "'seed'"]),
+    "unknown key": ('stepps = 3\nname = "x"', "'steps'"),
+    "unknown key far from any": ('zzz = 3\nname = "x"', "known are"),
+    "typo in a variant": (GOOD + '[road]\nkind = "bumps"\nsead = 3', "'seed'"),
     "typo deep in a controller": (
         PID + "position = {kpp = 1}",
-        ["functions.symbol.controller.position.kpp", "'kp'"],
+        "'kp'",
     ),
-    "text for a whole number": ('steps = "40"\n' + GOOD.replace("steps = 3", ""), ["steps", "'40'", "whole number"]),
-    "value for a table": ("camera = 3" + GOOD, ["camera", "table"]),
-    "name for a table": (GOOD + '[lighting]\nbase = "low"', ["lighting.base", 'write base = {beam = "low"}']),
-    "key of an inner table": (GOOD + '[lighting]\nbeam = "low"', ["lighting.beam", 'write base = {beam = "low"}']),
-    "table for a list": (GOOD + BOX.replace("[[objects]]", "[objects]"), ["objects", "write [[objects]] above each"]),
-    "beyond half a turn": (GOOD + BOX.replace("0]}", "0], yaw_deg = 270}"), ["objects[0].track[0].yaw_deg", "180; write -90"]),
-    "above the range": (GOOD + "[camera]\nhfov_deg = 200", ["camera.hfov_deg", "less than or equal to 150"]),
-    "infinity": (GOOD + "[camera]\nexposure_s = inf", ["camera.exposure_s", "inf", "finite"]),
-    "a date": ("seed = 2024-01-01" + GOOD, ["seed", "date", "number"]),
+    "text for a whole number": ('steps = "40"\n' + GOOD.replace("steps = 3", ""), "whole number"),
+    "value for a table": ("camera = 3" + GOOD, ": camera: "),
+    "name for a table": (GOOD + '[lighting]\nbase = "low"', 'write base = {beam = "low"}'),
+    "key of an inner table": (GOOD + '[lighting]\nbeam = "low"', 'write base = {beam = "low"}'),
+    "table for a list": (GOOD + BOX.replace("[[objects]]", "[objects]"), "write [[objects]] above each"),
+    "beyond half a turn": (GOOD + BOX.replace("0]}", "0], yaw_deg = 270}"), "180; write -90"),
+    "above the range": (GOOD + "[camera]\nhfov_deg = 200", "less than or equal to 150"),
+    "infinity": (GOOD + "[camera]\nexposure_s = inf", "finite"),
+    "a date": ("seed = 2024-01-01" + GOOD, "seed: is a date"),
     "no image": (
         'name = "x"\n[functions.symbol]\nkind = "symbol"',
-        ['functions.symbol.image: is missing; write image = "snowflake"', "luxloop new"],
+        'functions.symbol.image: is missing; write image = "snowflake"',
     ),
-    "no name": (GOOD.replace('name = "good"', ""), ['name: is missing; write name = "mine", say: name, for tables and reports (']),
+    "no name": (GOOD.replace('name = "good"', ""), 'name: is missing; write name = "mine", say: name, for tables and reports ('),
     "a symbol beside the functions": (
         'symbol = {image = "snowflake"}' + GOOD,
-        ["symbol: unknown key", "[functions.NAME]", 'kind = "symbol"'],
+        "symbol: unknown key",
     ),
     "a start without control": (
         SYMBOL + "start = {x_m = 12.0}",
-        ["functions.symbol: start: ", 'give controller = "luxloop"', "leave it out"],
+        'give controller = "luxloop"',
     ),
-    "animation under control": (GOOD + 'animation = {kind = "blinking"}', ["functions.symbol: animation: ", "controller", "leave it out"]),
-    "empty file": ("", ["name", "missing", "luxloop new"]),
-    "unknown road": (GOOD + '[road]\nkind = "bumpz"', ["road.kind", "'bumpz'", "'bumps'"]),
-    "unknown lamp": (GOOD + '[headlight]\nlamps = ["lefft"]', ["headlight.lamps[0]", "'left'"]),
-    "one lamp twice": (GOOD + '[headlight]\nlamps = ["left", "left"]', ["headlight.lamps", "once"]),
+    "animation under control": (GOOD + 'animation = {kind = "blinking"}', "functions.symbol: animation: "),
+    "empty file": ("", "luxloop new"),
+    "unknown road": (GOOD + '[road]\nkind = "bumpz"', "'bumps'"),
+    "unknown lamp": (GOOD + '[headlight]\nlamps = ["lefft"]', "'left'"),
+    "one lamp twice": (GOOD + '[headlight]\nlamps = ["left", "left"]', "once"),
     "too short a vector": (
         GOOD + BOX.replace("[17, 0, 0]", "[17, 0]"),
-        ["objects[0].track[0].position_m[2]: is missing; write position_m = [20.0, 2.0, 0.0], say"],
+        "objects[0].track[0].position_m[2]: is missing; write position_m = [20.0, 2.0, 0.0], say",
     ),
     "keyframes out of order": (
         GOOD + BOX.replace("[{", "[{time_s = 1, position_m = [0, 0, 0]}, {"),
-        ["objects[0]", "time_s must ascend"],
+        "time_s must ascend",
     ),
-    "future version": ("schema_version = 2" + GOOD, ["schema_version", "version 1, not 2"]),
-    "long exposure": (GOOD + "[camera]\nexposure_s = 0.02", ["camera.exposure_s", "half a control period", "0.01667", "rate_hz"]),
+    "future version": ("schema_version = 2" + GOOD, "version 1, not 2"),
+    "long exposure": (GOOD + "[camera]\nexposure_s = 0.02", "half a control period"),
     "limits the wrong way": (
         PID + "x_range_m = [40, 8]",
-        ["functions.symbol: controller.x_range_m", "40 must be less than 8"],
+        "40 must be less than 8",
     ),
-    "not TOML": ("name = snowflake", ["not valid TOML", "line 1", "quotes"]),
+    "a controller beside the functions": (LIT + '[controller]\nname = "open"', "controller: unknown key"),
+    "no path": (
+        LIT + '[functions.marker]\nkind = "path"',
+        "functions.marker.control_m: is missing; write control_m = [[6.0, 0.0], [40.0, 3.0]], say",
+    ),
+    "more than all": (LIT + '[functions.own]\nkind = "width"\nvalue = 2', "functions.own: value: u_abs"),
+    "a function's name": (
+        LIT + '[functions."Own width"]\nkind = "width"',
+        "functions.Own width: 'Own width' is not a valid name",
+    ),
+    "one name twice": (LIT + BOX + BOX, "'crate'"),
+    "typo in a class": (
+        LIT + '[functions.own]\nkind = "object_based"\nsetpoints_lx = { pedestrain = 3 }',
+        "functions.own.setpoints_lx.pedestrain: 'pedestrain' is not possible",
+    ),
+    "conditions out of order": (LIT + "[[conditions]]\ntime_s = 1\n[[conditions]]\ntime_s = 1", "ascend"),
+    "not TOML": ("name = snowflake", "not valid TOML"),
 }
 
 
 @pytest.mark.parametrize(("text", "named"), BROKEN.values(), ids=BROKEN.keys())
-def test_broken_file_gives_one_sentence_with_file_key_and_remedy(file: Path, text: str, named: list[str]) -> None:
+def test_broken_file_gives_one_sentence_with_file_key_and_remedy(file: Path, text: str, named: str) -> None:
     file.write_text(text)
     message = failure(file)
-    assert message.startswith(str(file))
-    for part in named:
-        assert part in message
+    assert message.startswith(str(file)) and named in message
 
 
 def test_file_that_is_no_text(file: Path) -> None:
@@ -83,41 +97,8 @@ def test_file_that_is_no_text(file: Path) -> None:
 
 
 def test_missing_file_folder_and_unknown_name(tmp_path: Path) -> None:
-    assert "did you mean 'snowflake'?" in failure("snowflak")
-    assert "luxloop new" in failure(tmp_path / "none.toml")
-    assert "folder" in failure(tmp_path)
-    assert "luxloop list" in failure("zzzz")
-
-
-BROKEN_LIGHTING = {
-    "a controller beside the functions": (LIT + '[controller]\nname = "open"', ["controller: unknown key", "'pixel_controller'"]),
-    "no path": (
-        LIT + '[functions.marker]\nkind = "path"',
-        ["functions.marker.control_m: is missing; write control_m = [[6.0, 0.0], [40.0, 3.0]], say"],
-    ),
-    "more than all": (LIT + '[functions.own]\nkind = "width"\nvalue = 2', ["functions.own: value: u_abs", "at most 1", "u_rel"]),
-    "a function's name": (
-        LIT + '[functions."Own width"]\nkind = "width"',
-        ["functions.Own width: 'Own width' is not a valid name", "write own_width"],
-    ),
-    "one name twice": (LIT + BOX + BOX, ["objects", "'crate'", "rename"]),
-    "typo in a class": (
-        LIT + '[functions.own]\nkind = "object_based"\nsetpoints_lx = { pedestrain = 3 }',
-        ["functions.own.setpoints_lx.pedestrain: 'pedestrain' is not possible", "'pedestrian'"],
-    ),
-    "conditions out of order": (LIT + "[[conditions]]\ntime_s = 1\n[[conditions]]\ntime_s = 1", ["conditions", "ascend"]),
-}
-
-
-@pytest.mark.parametrize(("text", "named"), BROKEN_LIGHTING.values(), ids=BROKEN_LIGHTING.keys())
-def test_broken_lighting_scenario_gives_one_sentence(file: Path, text: str, named: list[str]) -> None:
-    file.write_text(text)
-    with pytest.raises(LuxloopError) as caught:
-        load(str(file))
-    message = str(caught.value)
-    assert all(map(is_one_sentence, caught.value.args)) and message.startswith(str(file))
-    for part in named:
-        assert part in message
+    named = {"snowflak": "did you mean 'snowflake'?", tmp_path / "none.toml": "luxloop new", tmp_path: "folder", "zzzz": "luxloop list"}
+    assert all(words in failure(name) for name, words in named.items())
 
 
 SEVERAL = {
@@ -132,11 +113,7 @@ SEVERAL = {
 MARKERS = '[functions.name]\nkind = "marker"\nanimation = { kind = "blinking" }\n[functions.kind]\nkind = "marker"\n'
 
 OF_A_KIND = {
-    PID: {
-        "functions.symbol.controller.position.kp": '"x"',
-        "functions.symbol.start.x_m": "[]",
-        "functions.symbol.imag": "3",
-    },
+    PID: {"functions.symbol.controller.position.kp": '"x"', "functions.symbol.start.x_m": "[]", "functions.symbol.imag": "3"},
     LIT + MARKERS: {
         "functions.name.animation.rate_hz": '"x"',
         "functions.kind.kind": '"markr"',
@@ -150,12 +127,10 @@ OF_A_KIND = {
 def test_all_errors_of_a_file_are_listed(text: str, of_the_kind: dict[str, str], file: Path) -> None:
     file.write_text('headlight.lamps = ["left", "right"]\n' + text + BOX)
     wrong = SEVERAL | of_the_kind
-    with pytest.raises(LuxloopError) as caught:
+    with refusal(rf"^{file}.*: {len(wrong)} errors") as caught:
         load(str(file), [f"{key}={value}" for key, value in wrong.items()])
-    first, *lines = caught.value.args
-    assert first.startswith(str(file)) and first.endswith(f": {len(wrong)} errors")
-    assert sorted(line.partition(": ")[0] for line in lines) == sorted(wrong)
-    assert all(map(is_one_sentence, lines))
+    lines = caught.value.args[1:]
+    assert sorted(line.partition(": ")[0] for line in lines) == sorted(wrong) and all(map(is_one_sentence, lines))
 
 
 def leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
@@ -173,7 +148,7 @@ def test_each_key_that_is_broken_is_named(name: str) -> None:
     alone = (".kind", ".controller.name", "schema_version")  # others of the table, or of the file, mean nothing once they are wrong
     keys = [(key, value) for key, value in leaves(load(name).model_dump(mode="json")) if value is not None and not key.endswith(alone)]
     broken = {key: "3" if isinstance(value, str) else '"zzz"' for key, value in rng.sample(keys, 8)}
-    with pytest.raises(LuxloopError) as caught:
+    with refusal(": ") as caught:
         load(name, [f"{key}={value}" for key, value in broken.items()])
     assert sorted(line.partition(": ")[0] for line in caught.value.args[1:]) == sorted(broken)
 
@@ -210,7 +185,7 @@ DEEP, LONG = "[" * 3000 + "]" * 3000, "9" * 5000
 def test_files_beyond_all_reason_are_told_in_a_sentence(text: str, file: Path) -> None:
     file.write_text(text)
     assert len(failure(file)) < 1000
-    with pytest.raises(LuxloopError):
+    with refusal(": "):
         load("flat", [text])
 
 

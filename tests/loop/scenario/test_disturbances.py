@@ -7,32 +7,35 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop import Scenario, Simulation, Utilisation, validate
 from luxloop.loop.scenario.disturbances import DisturbanceParams, WearParams
-from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.loop.scenario.overrides import overridden
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulated import SimulatedPlant
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.truth import true_camera, true_modules, wear_out
 from luxloop.loop.simulation.world import World
 from luxloop.perception.camera import luminance_of, saturation_luminance
 from luxloop.world.roads.shapes import Flat
 from luxloop.world.scene.vehicle import VehicleParams, drive
-from tests.loop.conftest import SMALL, frames_of, simulation_of
+from tests.lamps import SMALL_LAMP
+from tests.loop.conftest import SMALL, frames_of, simulation_of, toml
 from tests.refusal import refusal
 
-SYMBOL = SMALL["functions"]["symbol"]
-AT_TARGET: dict[str, Any] = {
-    **SMALL,
-    "headlight": {"model": "idealised-332x1024", "lamps": ["left"]},
-    "functions": {"symbol": {**SYMBOL, "controller": {"name": "open"}, "start": {}}},
-    "steps": 1,
-}
-QUIET = {"camera": {**SMALL["camera"], "noise": False}}
+AT_TARGET = overridden(
+    SMALL,
+    [
+        toml("""
+steps = 1
+headlight = { model = "idealised-332x1024", lamps = ["left"] }
+camera.noise = false
+functions.symbol = { controller = "open", start = {} }
+""")
+    ],
+)
 
 
-def prepared(disturbances: dict[str, Any] | None = None, **changes: Any) -> Simulation:
-    return simulation_of(validate({**AT_TARGET, **QUIET, **changes, "disturbances": disturbances or {}}, "disturbed"))
+def prepared(*overrides: str | dict[str, Any]) -> Simulation:
+    return simulation_of(validate(overridden(AT_TARGET, overrides), "disturbed"))
 
 
 def first(simulation: Simulation) -> StepResult:
@@ -57,7 +60,7 @@ def frames(simulation: Simulation, step: int = 0, **disturbances: Any) -> tuple[
 
 def test_ambient_light_changes_in_the_frames_and_steps_that_are_named(plain: Simulation) -> None:
     on, off = frames(plain)
-    spell = {"factor": 4.0, "frames": "off", "from_step": 3, "until_step": 5}
+    spell = toml("{ factor = 4.0, frames = 'off', from_step = 3, until_step = 5 }")
     for step in range(6):
         on_now, off_now = frames(plain, step, ambient=[spell])
         assert torch.equal(on_now, on)
@@ -68,7 +71,13 @@ def test_ambient_light_changes_in_the_frames_and_steps_that_are_named(plain: Sim
 
 
 def test_a_headlamp_in_one_frame_only_saturates_and_veils_that_frame(plain: Simulation) -> None:
-    lamp = {"position_m": (40.0, 2.0, 0.65), "velocity_m_s": (-15.0, 0.0, 0.0), "intensity_cd": 3000.0, "frames": "on", "from_step": 1}
+    lamp = toml("""
+position_m = [40.0, 2.0, 0.65]
+velocity_m_s = [-15.0, 0.0, 0.0]
+intensity_cd = 3000.0
+frames = "on"
+from_step = 1
+""")
     on, off = frames(plain)
     assert torch.equal(frames(plain, 0, oncoming=[lamp])[0], on)
     for step in (1, 6):
@@ -86,7 +95,7 @@ def test_a_headlamp_in_one_frame_only_saturates_and_veils_that_frame(plain: Simu
 
 
 def test_a_car_drives_towards_a_headlamp_that_stands(plain: Simulation) -> None:
-    lamp = {"position_m": (60.0, 2.0, 0.65), "diameter_m": 0.5, "veil": 0.0, "intensity_cd": 5.0}
+    lamp = toml("{ position_m = [60.0, 2.0, 0.65], diameter_m = 0.5, veil = 0.0, intensity_cd = 5.0 }")
     scene, modules, camera, source = plain.world.scene, plain.world.modules, plain.world.camera, plain.world.source
     motion = drive(VehicleParams.model_validate({"course": [{"speed_m_s": 20.0}]}), Flat(), 1.0)
     world = World(scene, modules, camera, source, motion)
@@ -107,7 +116,7 @@ def test_noise_is_as_many_times_as_wide(plain: Simulation) -> None:
     _, level = frames(plain, **bright)
     inside = (level > 0.25 * saturation_luminance(plain.world.camera)) & (level < 0.75 * saturation_luminance(plain.world.camera))
     assert int(inside.sum()) > 10_000 and quiet[inside].max() < 0.1
-    noisy = prepared(camera=SMALL["camera"])
+    noisy = prepared("camera.noise=true")
     once, ten = (float((frames(noisy, 2, **bright, noise=[{"factor": f}])[1] - level)[inside].std()) for f in (0.5, 4.0))
     assert ten / once == pytest.approx(8, rel=0.02)  # the same numbers eight times as large; beyond 3.5 sigma a few are clamped
 
@@ -133,8 +142,7 @@ def test_a_batch_is_disturbed_as_each_of_it_alone(plain: Simulation) -> None:
 
 
 def test_a_camera_that_looks_elsewhere_moves_the_image_and_not_the_light(plain: Simulation) -> None:
-    off_by = {"yaw_deg": 0.4, "focal_percent": 2.0}
-    simulation = prepared({"calibration": off_by})
+    simulation = prepared("disturbances.calibration={ yaw_deg=0.4, focal_percent=2.0 }")
     right, wrong = first(plain), first(simulation)
     # the controller expects what it did; the light lies as well as before, and the evaluator, who knows the true camera, sees that
     assert torch.equal(simulation.symbol.sensor.model.target, plain.symbol.sensor.model.target)
@@ -149,48 +157,30 @@ def test_a_camera_that_looks_elsewhere_moves_the_image_and_not_the_light(plain: 
 
 def test_a_camera_on_another_place_sees_from_there(small_scenario: Scenario) -> None:
     camera = small_scenario.camera
-    error = DisturbanceParams.model_validate({"calibration": {"x_m": -0.2, "z_m": 0.1, "pitch_deg": -0.2}})
+    error = DisturbanceParams.model_validate(toml("{ calibration = { x_m = -0.2, z_m = 0.1, pitch_deg = -0.2 } }"))
     there = true_camera(small_scenario.model_copy(update={"disturbances": error}))
     assert (there.x_m, there.y_m, there.z_m, there.pitch_deg) == pytest.approx((-1.8, 0.0, 1.45, 2.8))
     assert there == camera.model_copy(update={"x_m": there.x_m, "z_m": there.z_m, "pitch_deg": there.pitch_deg})
     assert true_camera(small_scenario) == camera
 
 
-@pytest.mark.parametrize(
-    ("disturbances", "changes", "words"),
-    [
-        ({"calibration": {"z_m": -0.5, "pitch_deg": -10}}, {}, "reduce disturbances.calibration"),
-        (
-            {"calibration": {"z_m": -0.5}},
-            {"camera": {"z_m": 0.4}},
-            "disturbances.calibration.z_m: the camera is at -0.1 m",
-        ),
-        ({"aim": [{"z_m": -0.4}, {"z_m": -0.4}]}, {}, "disturbances.aim.z_m: the lamp is at -0.05 m"),
-    ],
-)
-def test_errors_that_leave_nothing_to_see_are_told(disturbances: dict[str, Any], changes: dict[str, Any], words: str) -> None:
-    with refusal(words):
-        simulation_of(validate({**AT_TARGET, **changes, "disturbances": disturbances}, "disturbed"))
-
-
 def test_a_lamp_aimed_too_high_throws_the_symbol_further() -> None:
     up = math.radians(0.1)
-    x, y = first(prepared({"aim": [{"pitch_deg": -0.1}]})).symbol.metrics.centroid_percent.tolist()
+    x, y = first(prepared("disturbances.aim=[{ pitch_deg=-0.1 }]")).symbol.metrics.centroid_percent.tolist()
     moved = 0.75 / math.tan(math.atan(0.75 / 17) - up) - 17
     # the symbol grows about its middle ray, which moves its centroid by a tenth of the shift at most; the left lamp's rays go to the right
     assert x == pytest.approx(100 * moved / 4, rel=0.1) and y == pytest.approx(-100 * 0.6 * moved / 17 / 2, rel=0.2)
 
 
 def test_two_lamps_draw_one_symbol_until_one_is_aimed_aside(plain: Simulation) -> None:
-    drawn = {**AT_TARGET["functions"]["symbol"], "modules": ["left", "right"]}
-    both = {"headlight": {**SMALL["headlight"], "lamps": ["left", "right"]}, "functions": {"symbol": drawn}}
-    together = prepared(**both)
+    both = ("headlight.lamps=['left', 'right']", "functions.symbol.modules=['left', 'right']")
+    together = prepared(*both, f"headlight.model={SMALL_LAMP}")
     shared, alone = first(together), first(plain)
     assert float(shared.symbol.metrics.iou) > 0.97
     runs = ((together, shared), (plain, alone))
     lit = [float(sim.world.lit(0.0).luminance(result.exposures[0].lights).sum()) for sim, result in runs]
     assert lit[0] == pytest.approx(lit[1], rel=0.01)  # each gives half of the setpoint
-    apart = first(prepared({"aim": [{"lamp": "right", "yaw_deg": -1.0}]}, **both))
+    apart = first(prepared(*both, f"headlight.model={SMALL_LAMP}", "disturbances.aim=[{ lamp='right', yaw_deg=-1.0 }]"))
     y_percent = float(apart.symbol.metrics.centroid_percent[1])
     # half of the light has moved by a degree at 17 m, 30 cm of 2 m to the right
     assert y_percent == pytest.approx(-100 * math.tan(math.radians(1)) * 17 / 2 / 2, rel=0.2) and float(apart.symbol.metrics.iou) < 0.8
@@ -233,23 +223,30 @@ def test_dead_pixels_that_are_named_are_dead(plain: Simulation) -> None:
         worn_world(plain, dead_pixels=[339_968])
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"ambient": [{"factor": 2.0, "from_step": 5, "until_step": 5}]}, r"until_step \(5\) must be later than from_step \(5\)"),
-        ({"wear": {"dead": 0.7, "aged": 0.4}}, "disturbances.wear: dead .0.7. and aged .0.4. are shares of all pixels"),
-        ({"aim": [{"lamp": "right"}]}, r"disturbances.aim\[0\].lamp: the right lamp is dark here; name it in headlight.lamps"),
-    ],
-)
-def test_what_cannot_be_is_told(changes: dict[str, Any], words: str) -> None:
+WRONG = {
+    "calibration={ z_m=-0.5, pitch_deg=-10 }": "reduce disturbances.calibration",
+    "aim=[{ z_m=-0.4 }, { z_m=-0.4 }]": "disturbances.aim.z_m: the lamp is at -0.05 m",
+    "ambient=[{ factor=2.0, from_step=5, until_step=5 }]": r"until_step \(5\) must be later than from_step \(5\)",
+    "wear={ dead=0.7, aged=0.4 }": "disturbances.wear: dead .0.7. and aged .0.4. are shares of all pixels",
+    "aim=[{ lamp='right' }]": r"disturbances.aim\[0\].lamp: the right lamp is dark here; name it in headlight.lamps",
+}
+
+
+@pytest.mark.parametrize(("disturbance", "words"), WRONG.items())
+def test_what_cannot_be_is_told(disturbance: str, words: str) -> None:
     with refusal(words):
-        validate({**AT_TARGET, "disturbances": changes}, "disturbed")
+        prepared(f"disturbances.{disturbance}")
+
+
+def test_a_camera_below_the_road_is_refused() -> None:
+    with refusal("disturbances.calibration.z_m: the camera is at -0.1 m"):
+        prepared("camera.z_m=0.4", "disturbances.calibration.z_m=-0.5")
 
 
 def test_a_box_hides_the_road_and_shades_what_lies_behind(plain: Simulation) -> None:
-    box = {"kind": "box", "name": "box", "size_m": (0.3, 3.0, 0.4), "appears_s": 0.1, "vanishes_s": 0.2}
-    track = [{"time_s": 0.1, "position_m": (13.0, 0.0, 0.0)}, {"time_s": 0.2, "position_m": (13.0, 10.0, 0.0)}]
-    simulation = prepared(objects=[box | {"track": track}])
+    track = "[{ time_s=0.1, position_m=[13.0, 0.0, 0.0] }, { time_s=0.2, position_m=[13.0, 10.0, 0.0] }]"
+    there = f"appears_s=0.1, vanishes_s=0.2, track={track}"
+    simulation = prepared(f"objects=[{{ kind='box', name='box', size_m=[0.3, 3.0, 0.4], {there} }}]")
     symbol = simulation.symbol
     lights = simulation.of_all(symbol, symbol.projector.light(symbol.projector.target))
     free, hidden, gone = (symbol.evaluator.metrics(lights, t) for t in (0.0, 0.1, 0.19))

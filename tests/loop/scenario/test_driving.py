@@ -2,9 +2,9 @@
 
 import pytest
 
+from luxloop import load
 from luxloop.loop.scenario.driving import begin_drive, continue_drive, end_drive, repeat, with_drive
 from luxloop.loop.scenario.edits import Edit, differences, with_overrides
-from luxloop.loop.scenario.model import load
 from luxloop.world.scene.driver import Controls
 from tests.refusal import refusal
 

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 import pytest
 from pydantic import BaseModel, TypeAdapter
 
+from luxloop import Scenario, load, validate
 from luxloop.controllers.symbol import HeightControllerParams
-from luxloop.loop.scenario.model import Scenario, load, validate
 from luxloop.loop.scenario.shipped import scenario_files
 from luxloop.world.plugin import Name
 from tests.loop.scenario.files import BOX, GOOD, LIT

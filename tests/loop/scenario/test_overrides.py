@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
+from luxloop import load
 from luxloop.controllers.functions.path import LaneParams
 from luxloop.controllers.symbol.feedback import GaussNewtonParams, ThesisPidParams
 from luxloop.controllers.symbol.stages import WarpParams
-from luxloop.loop.scenario.model import load
 from luxloop.perception.camera import CameraParams
 from luxloop.world.materials.library import SpotParams
 from luxloop.world.roads.shapes import Bumps, Flat
@@ -75,17 +75,7 @@ def test_one_key_of_one_item_of_a_list_can_be_set(tmp_path: Path, monkeypatch: p
     assert load("obl", ["functions.object_light.method=constant"]).functions["object_light"].method == "constant"  # type: ignore[union-attr]
     shown = load("animated_symbol", ["functions.guidance.image=./own.png"])
     assert shown.functions["guidance"].image == str((tmp_path / "own.png").resolve())  # type: ignore[union-attr]
-    with refusal(r"^objects\[2\]: there are 1 objects, numbered from 0"):
-        load("marker_light", ["objects[2].albedo=1"])
-    with refusal(r"functions.guide_line.valeu: unknown key; did you mean 'value'"):
-        load("marker_light", ["functions.guide_line.valeu=1"])
-    with refusal(r"functions\..*: '' is not a valid name"):
-        load("marker_light", ["functions.''.kind=lane"])
-    with refusal(r"^objects: is a list and has no '0'; write --set 'objects\[0\].KEY"):
-        load("marker_light", ["objects.0.albedo=1"])
     assert not load("marker_light", ["objects={}"]).objects and not load("marker_light", ["objects=[]"]).objects
-    with refusal(r"^objects\[0\].track\[7\]: there are \d+ track, numbered from 0"):
-        load("marker_light", ["objects[0].track[7].time_s=1"])
 
 
 def test_an_item_one_beyond_the_last_is_added() -> None:
@@ -93,12 +83,24 @@ def test_an_item_one_beyond_the_last_is_added() -> None:
     overrides = [f"spots[{len(there) + k}]={{x_m={20.0 + k}}}" for k in range(2)]
     assert load("marker_light", overrides).spots == (*there, SpotParams(x_m=20.0), SpotParams(x_m=21.0))
     assert load("marker_light", [{"spots": {f"[{len(there)}]": {"x_m": 20.0}}}]).spots == (*there, SpotParams(x_m=20.0))
-    with refusal(r"objects\[1\].kind: is missing"):
-        load("marker_light", ["objects[1].albedo=1"])
-    with refusal(r"^objects\[1\]: there are 1 objects, numbered from 0"):
-        load("marker_light", ["objects[1]={}"])
-    with refusal(r"lamps\[2\]: there are 2 lamps, numbered from 0"):
-        load("marker_light", ["headlight.lamps[2]=left"])
+
+
+IMPOSSIBLE = {
+    "objects[2].albedo=1": r"^objects\[2\]: there are 1 objects, numbered from 0",
+    "functions.guide_line.valeu=1": r"functions.guide_line.valeu: unknown key; did you mean 'value'",
+    "functions.''.kind=lane": r"functions\..*: '' is not a valid name",
+    "objects.0.albedo=1": r"^objects: is a list and has no '0'; write --set 'objects\[0\].KEY",
+    "objects[0].track[7].time_s=1": r"^objects\[0\].track\[7\]: there are \d+ track, numbered from 0",
+    "objects[1].albedo=1": r"objects\[1\].kind: is missing",
+    "objects[1]={}": r"^objects\[1\]: there are 1 objects, numbered from 0",
+    "headlight.lamps[2]=left": r"lamps\[2\]: there are 2 lamps, numbered from 0",
+}
+
+
+@pytest.mark.parametrize(("override", "words"), IMPOSSIBLE.items())
+def test_an_item_that_cannot_be_is_refused(override: str, words: str) -> None:
+    with refusal(words):
+        load("marker_light", [override])
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from luxloop.loop.run import prepare
-from luxloop.loop.scenario.model import load
-from luxloop.loop.scenario.studio_window import show
+from luxloop import LuxloopError, connect, load, prepare, show
 from luxloop.loop.studio import page
-from luxloop.loop.studio.client import connect
-from luxloop.world.errors import LuxloopError
 from tests.loop.studio.conftest import SMALL
 from tests.refusal import refusal
 

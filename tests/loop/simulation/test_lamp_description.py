@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 import torch
 
-from luxloop import LuxloopError, load_lamp
+from luxloop import load_lamp
 from luxloop.world.headlight.lamp import direction
 from luxloop.world.lamps import archive, presets
 from luxloop.world.lamps.description import build
 from luxloop.world.lamps.utilisations import read_utilisation
 from luxloop.world.photometry import lm63
 from luxloop.world.photometry.distribution import Distribution
+from tests.refusal import refusal
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE, PAGE = ROOT / "scenarios" / "examples" / "lamp.toml", ROOT / "docs" / "lamps.md"
@@ -43,16 +44,14 @@ def pixel_file(path: Path) -> Path:
 
 def test_the_example_builds_as_it_says() -> None:
     lamp, (matrix, foreground) = build(EXAMPLE)
-    assert [module.name for module in lamp.modules] == ["matrix", "foreground"]
+    fine, wide = (module.headlight for module in lamp.modules)
+    assert [module.name for module in lamp.modules] == ["matrix", "foreground"] and "low" in lamp.beams
     assert (matrix.pixel_rows, matrix.pixel_cols, matrix.rows) == (16, 64, 96)
-    assert matrix.overlap is not None
+    assert matrix.overlap is not None and foreground.overlap is None
     assert matrix.entries_per_texel[1] < matrix.entries_per_texel[0]
-    assert int(lamp.modules[0].headlight.matrix.indptr.diff().max()) == 6
-    assert foreground.overlap is None
-    wide = lamp.modules[1].headlight
+    assert int(fine.matrix.indptr.diff().max()) == 6
     assert (wide.left - wide.right) / wide.cols < 0.07  # a quarter of a Gaussian of 15 deg
     assert lamp.modules[0].pose(swivel_deg=15)[0, 3] == 0.02
-    assert "low" in lamp.beams
 
 
 def test_the_documented_way_from_files_to_a_lamp_works(tmp_path: Path) -> None:
@@ -100,16 +99,14 @@ def test_given_beams_come_from_pictures_and_tables(tmp_path: Path) -> None:
         ("a.csv", b"0,1,2,3\n0,0,0,0\n", "lie between 0 and 1, not 0 and 3"),
         ("a.npy", b"", "holds no utilisations"),
         ("a.txt", b"", ".npy, .npz, .csv, .png"),
-        ("gone.png", None, "gone.png: cannot be read"),
+        ("gone.png", None, "cannot be read"),
     ],
 )
 def test_utilisations_that_do_not_fit_are_named(tmp_path: Path, name: str, content: bytes | None, words: str) -> None:
     if content is not None:
         (tmp_path / name).write_bytes(content)
-    with pytest.raises(LuxloopError) as error:
+    with refusal(rf"{name}.*{re.escape(words)}|{re.escape(words)}.*{name}"):
         build(write(tmp_path, f'{MATRIX}\n[beams.given]\nb = {{ matrix = "{name}" }}'))
-    assert words in str(error.value)
-    assert name in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -117,10 +114,7 @@ def test_utilisations_that_do_not_fit_are_named(tmp_path: Path, name: str, conte
     [
         ("name = small", "not valid TOML"),
         ('name = "a"', "module: is missing"),
-        (
-            'nam = "a"\nnotes = 3\nmodule = [1]',
-            "3 errors\n  nam: unknown key; did you mean 'name'?\n  notes: 3 is not a text in quotes\n  module[0]: ",
-        ),
+        ('nam = "a"\nnotes = 3\nmodule = [1]', "3 errors\n  nam: unknown key; did you mean 'name'?\n  notes: "),
         (MATRIX.replace('kind = "blurred_rectangles"', 'kind = "blured_rectangles"'), "did you mean 'blurred_rectangles'?"),
         (MATRIX.replace("columns", "colums"), "unknown key; did you mean 'columns'?"),
         (f"{MATRIX}muont = {{ x_m = 1 }}", "unknown key; did you mean 'mount'?"),
@@ -140,9 +134,8 @@ def test_utilisations_that_do_not_fit_are_named(tmp_path: Path, name: str, conte
 )
 def test_what_is_wrong_in_a_description_is_named(tmp_path: Path, text: str, words: str) -> None:
     path = write(tmp_path, text)
-    with pytest.raises(LuxloopError) as error:
+    with refusal(re.escape(words)) as error:
         build(path)
-    assert words in str(error.value)
     assert str(path) in str(error.value)
 
 

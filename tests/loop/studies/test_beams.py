@@ -10,13 +10,13 @@ from typing import Any
 import pytest
 import torch
 
+from luxloop import Simulation, load, prepare, validate
 from luxloop.loop.commands import cli
-from luxloop.loop.run import prepare
-from luxloop.loop.scenario.model import load, validate
-from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.scenario.text import scenario_text
 from luxloop.loop.studies.beams import BeamEvaluator, BeamGoal, _method, alike, begin, descend, sample
 from luxloop.perception.detection.build import detector
 from luxloop.perception.detection.detector import HogParams, NetworkParams
+from tests.loop.conftest import Lux, assert_refused
 from tests.refusal import refusal
 
 SCENE: dict[str, Any] = tomllib.loads("""
@@ -77,26 +77,31 @@ def test_a_beam_is_dimmed_to_as_much_flux() -> None:
     assert float((alike(lights, flux, 5.0)[0] * flux[0]).sum()) == pytest.approx(5.0)
 
 
+PLAYED = """
+name = "beam"
+steps = 1
+off_share = 0.47
+detector_frames = "both"
+detector.kind = "truth"
+objects = [{ kind = "pedestrian", name = "eva", seed = 5, track = [{ position_m = [14, 0.5, 0] }] }]
+headlight.model = "hd84"
+camera = { width_px = 320, height_px = 180, oversampling = 1 }
+lighting.base.beam = "low"
+disturbances.ambient = [{ factor = 2, frames = "off" }, { factor = 2, frames = "on" }]
+functions.flake = { kind = "symbol", image = "snowflake", controller = "open" }
+functions.guard.kind = "glare_free"
+[checks]
+iou = { metric = "functions.flake.iou", at_least = 0 }
+dark = { metric = "dark_lx_max", at_least = 0 }
+held = { metric = "objects.eva.lx_max", at_least = 0, compare = "open_loop" }
+eva = { metric = "objects.eva.lx_max", at_least = 0 }
+dimmer = { metric = "lamp.left.flux_lm", at_least = 0, compare = "full_light" }
+"""
+
+
 def test_the_command_leaves_what_a_scenario_plays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "beam.toml"
-    objects = 'objects = [{ kind = "pedestrian", name = "eva", seed = 5, track = [{ position_m = [14, 0.5, 0] }] }]\n'
-    tables = (
-        '[headlight]\nmodel = "hd84"\n[camera]\nwidth_px = 320\nheight_px = 180\noversampling = 1\n[lighting]\nbase = { beam = "low" }\n'
-    )
-    symbol = '[functions.flake]\nkind = "symbol"\nimage = "snowflake"\ncontroller = "open"\n[functions.guard]\nkind = "glare_free"\n'
-    checks = {
-        "iou": {"metric": "functions.flake.iou"},
-        "dark": {"metric": "dark_lx_max"},
-        "held": {"metric": "objects.eva.lx_max", "compare": "open_loop"},
-        "eva": {"metric": "objects.eva.lx_max"},
-        "dimmer": {"metric": "lamp.left.flux_lm", "compare": "full_light"},
-    }
-    lines = [
-        f"[checks.{name}]\nat_least = 0\n" + "".join(f"{key} = {value!r}\n" for key, value in of.items()) for name, of in checks.items()
-    ]
-    held = 'off_share = 0.47\ndetector_frames = "both"\ndetector = { kind = "truth" }\n'
-    glare = "".join(f"[[disturbances.ambient]]\nfactor = 2\nframes = '{frames}'\n" for frames in ("off", "on"))
-    file.write_text(f'name = "beam"\nsteps = 1\n{held}{objects}{tables}{symbol}{glare}{"".join(lines)}')
+    file.write_text(PLAYED)
     out = tmp_path / "out"
     assert cli.main(["optimise-beam", str(file), "--metric", "edges", "--steps", "3", "--out", str(out), "--device", "cpu"]) == 0
     assert {each.name for each in out.iterdir()} == {"raw.toml", "beam.json", "beam.png", "left-matrix.npz", "right-matrix.npz"}
@@ -114,40 +119,43 @@ def test_the_command_leaves_what_a_scenario_plays(tmp_path: Path, capsys: pytest
 
 
 @pytest.mark.parametrize(
-    ("arguments", "complaint"),
+    ("line", "words"),
     [
-        (["gfhb", "--energy", "-1"], "for --energy; must be >= 0"),
-        (["gfhb", "--steps", "0"], "for --steps; must be >= 1"),
-        (["zones", "--metric", "edges"], r"zones\.toml: objects: none with a category"),
-        (["gfhb", "--metric", "edges", "--out", f"{__file__}/beam"], r"^error: .*beam: cannot be written \(Not a directory\)"),
+        ("gfhb --energy -1", "for --energy; must be >= 0"),
+        ("gfhb --steps 0", "for --steps; must be >= 1"),
+        ("zones --metric edges", "zones.toml: objects: none with a category"),
+        (f"gfhb --metric edges --out {__file__}/beam", "beam: cannot be written (Not a directory)"),
     ],
 )
-def test_what_cannot_be_optimised_is_told(arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["optimise-beam", *arguments, "--device", "cpu"]) == 2
-    assert re.search(complaint, capsys.readouterr().err)
+def test_what_cannot_be_optimised_is_told(line: str, words: str, lux: Lux) -> None:
+    assert_refused(lux("optimise-beam", *line.split(), "--device", "cpu"), words)
+
+
+DETECTOR = """
+class Detector:
+    classes = ("pedestrian",)
+    def __init__(self, device):
+        pass
+    def detect(self, frames):
+        raise RuntimeError("never")
+"""
 
 
 @pytest.mark.parametrize("there", [False, True])
 def test_a_search_that_fails_leaves_no_folder_but_one_that_was_there(
-    there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    there: bool, lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "detects_never.py").write_text(
-        "class Detector:\n    classes = ('pedestrian',)\n\n    def __init__(self, device):\n        pass\n\n"
-        "    def detect(self, frames):\n        raise RuntimeError('never')\n"
-    )
-    file, out = tmp_path / "beam.toml", tmp_path / "out"
-    file.write_text(
-        'name = "beam"\nrenderer = "raycast"\n[headlight]\nmodel = "hd84"\n[camera]\nwidth_px = 320\nheight_px = 180\n[lighting]\n'
-        'base = { beam = "low" }\n[detector]\nkind = "detects_never:Detector"\n[[objects]]\nkind = "pedestrian"\nname = "eva"\n'
-        "track = [{ position_m = [14, 0.5, 0] }]\n"
-    )
+    (tmp_path / "detects_never.py").write_text(DETECTOR)
+    own = SCENE | {"detector": {"kind": "detects_never:Detector"}}
+    (tmp_path / "beam.toml").write_text(scenario_text(validate(own, "beam")))
+    out = tmp_path / "out"
     if there:
         out.mkdir()
-    given = ["optimise-beam", str(file), "--method", "sampling", "--steps", "1", "--out", str(out), "--device", "cpu"]
-    assert cli.main(given) == cli.WRONG and "--allow-code" in capsys.readouterr().err
-    assert cli.main([*given, "--allow-code"]) == cli.WRONG
-    assert re.search(r"error: .*detects_never:Detector: detect fails at .*\.py, line 8 \(RuntimeError: never\)", capsys.readouterr().err)
+    given = ["optimise-beam", "beam.toml", "--method", "sampling", "--steps", "1", "--out", "out", "--device", "cpu"]
+    assert_refused(lux(*given), "--allow-code")
+    code, _, error = lux(*given, "--allow-code")
+    assert code == 2 and re.search(r"error: .*detects_never:Detector: detect fails at .*\.py, line 7 \(RuntimeError: never\)", error)
     assert out.exists() == there
 
 

@@ -19,6 +19,7 @@ from luxloop.loop.studies.campaign import JOBS, TABLE, read, run_campaign
 from luxloop.loop.studies.campaign_report import page, write_report
 from luxloop.loop.studies.jobs import dask, local
 from luxloop.loop.studies.runs import figures
+from tests.loop.conftest import Lux
 from tests.refusal import refusal
 
 ROOT = Path(__file__).parents[3]
@@ -127,14 +128,12 @@ def test_table_report_and_failures(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert len(started) == 2 + 4
 
 
-def test_a_campaign_whose_runs_all_fail_says_why(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_a_campaign_whose_runs_all_fail_says_why(lux: Lux, tmp_path: Path) -> None:
     file = written(tmp_path, 'scenarios = ["flat"]\ncontrollers = ["nopkg.mod:Name"]\n')
-    assert cli.main(["campaign", str(file), "--jobs", "1", "--out", "new/folder", "--allow-code"]) == cli.DIFFERS
-    assert "No module named 'nopkg'" in "".join(capsys.readouterr())
-    assert "No module named 'nopkg'" in Path("new/folder/report.md").read_text()
+    code, out, error = lux("campaign", str(file), "--jobs", "1", "--out", "new/folder", "--allow-code")
+    assert code == cli.DIFFERS
+    for said in (out + error, Path("new/folder/report.md").read_text()):
+        assert "No module named 'nopkg'" in said
     assert pq.read_table(tmp_path / "new" / "folder" / TABLE).num_rows == 1
 
 
@@ -158,18 +157,16 @@ def test_runs_that_differ_in_numbers_are_done_together(tmp_path: Path, capsys: p
     assert again.rows == found.rows and "2 of 2 runs" in capsys.readouterr().err, "what failed is tried again, and nothing else"
 
 
-def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.chdir(tmp_path)
-    file = written(tmp_path, 'scenarios = ["flat"]\n')
-    assert cli.main(["campaign", str(file), "--jobs", "1"]) == cli.OK
-    assert (tmp_path / "runs" / "night" / TABLE).exists()
-    for wrong, said in (
-        (["--jobs", "0"], "for --jobs; must be >= 1"),
-        (["--jobs", "2", "--scheduler", "tcp://x:1"], "one of the two"),
-        (["--scheduler", "nonsense://x"], "no answer"),
+def test_command(lux: Lux, tmp_path: Path) -> None:
+    file = str(written(tmp_path, 'scenarios = ["flat"]\n'))
+    assert lux("campaign", file, "--jobs", "1")[0] == 0 and (tmp_path / "runs" / "night" / TABLE).exists()
+    for wrong, words in (
+        ("--jobs 0", "for --jobs; must be >= 1"),
+        ("--jobs 2 --scheduler tcp://x:1", "one of the two"),
+        ("--scheduler nonsense://x", "no answer"),
     ):
-        assert cli.main(["campaign", str(file), *wrong]) == cli.WRONG
-        assert said in capsys.readouterr().err
+        code, _, error = lux("campaign", file, *wrong.split())
+        assert code == cli.WRONG and words in error
 
 
 @pytest.mark.slow
@@ -231,8 +228,7 @@ def test_a_worker_killed_midway_costs_no_run(scheduler: tuple[str, list[subproce
 
 
 def test_an_input_that_never_ends_is_refused(tmp_path: Path) -> None:
-    file = tmp_path / "c.toml"
     (tmp_path / "pipe").symlink_to("/dev/zero")
-    file.write_text('scenarios = ["flat"]\n[set.functions.symbol]\nimage = "./pipe"\n')
+    (tmp_path / "c.toml").write_text('scenarios = ["flat"]\n[set.functions.symbol]\nimage = "./pipe"\n')
     with refusal(r"/dev/zero: cannot be read \(it is no regular file\)"):
-        run_campaign(file, tmp_path / "out")
+        run_campaign(tmp_path / "c.toml", tmp_path / "out")

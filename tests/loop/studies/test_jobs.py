@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,8 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
+from luxloop import LuxloopError
 from luxloop.loop.studies.jobs import Job, Results, local, run
-from luxloop.world.errors import LuxloopError
 from tests.refusal import refusal
 
 ROOT = Path(__file__).parents[3]
@@ -67,38 +68,53 @@ def numbers(*xs: int, **more: Any) -> list[Job]:
     return [Job(f"x {x}", {"x": x, **more}) for x in xs]
 
 
-def test_results_come_in_the_order_of_jobs_with_their_parameters(tmp_path: Path) -> None:
-    results = run(square, numbers(3, 1, 2), tmp_path / "new" / "r.jsonl", version="1", executor=local(1))
-    assert results.rows == [{"key": f"x {x}", "x": x, "square": x * x, "list": [x, x]} for x in (3, 1, 2)]
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """What is really done, a line each."""
+    return tmp_path / "log"
+
+
+@pytest.fixture
+def done(log: Path, tmp_path: Path) -> Callable[..., Results]:
+    """Squares of numbers, kept in a file."""
+
+    def done(*xs: int, version: str = "1", file: Path = tmp_path / "r.jsonl") -> Results:
+        return run(square, numbers(*xs, log=str(log)), file, version=version, executor=local(1))
+
+    return done
+
+
+def squares(results: Results) -> list[int]:
+    return [row["square"] for row in results.rows]
+
+
+def test_results_come_in_the_order_of_jobs_with_their_parameters(done: Callable[..., Results], log: Path, tmp_path: Path) -> None:
+    results = done(3, 1, 2, file=tmp_path / "new" / "r.jsonl")
+    assert results.rows == [{"key": f"x {x}", "x": x, "log": str(log), "square": x * x, "list": [x, x]} for x in (3, 1, 2)]
     assert results.failures == {}
 
 
-def test_what_is_done_is_not_done_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log, file = tmp_path / "log", tmp_path / "r.jsonl"
+def test_what_is_done_is_not_done_again(done: Callable[..., Results], log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for xs in ((1, 2), (1, 2, 3), (3, 3, 2)):
-        results = run(square, numbers(*xs, log=str(log)), file, version="1", executor=local(1))
-        assert [row["square"] for row in results.rows] == [x * x for x in xs]
+        assert squares(done(*xs)) == [x * x for x in xs]
     assert log.read_text().split() == ["1", "2", "3"]
     assert "2 of 3 already done" in capsys.readouterr().err
 
 
-def test_other_versions_and_parameters_are_done_anew_and_old_results_stay(tmp_path: Path) -> None:
-    log, file = tmp_path / "log", tmp_path / "r.jsonl"
+def test_other_versions_and_parameters_are_done_anew_and_old_results_stay(done: Callable[..., Results], log: Path) -> None:
     for version, x in (("1", 1), ("2", 1), ("2", 5), ("1", 1)):
-        assert run(square, numbers(x, log=str(log)), file, version=version, executor=local(1)).rows[0]["square"] == x * x
+        assert squares(done(x, version=version)) == [x * x]
     assert log.read_text().split() == ["1", "1", "5"]
 
 
-def test_failures_are_collected_and_tried_again(tmp_path: Path) -> None:
-    log = tmp_path / "log"
+def test_failures_are_collected_and_tried_again(done: Callable[..., Results], log: Path, tmp_path: Path) -> None:
     for _ in range(2):
-        results = run(square, numbers(1, -1, 2, log=str(log)), tmp_path / "r.jsonl", version="1", executor=local(1))
-        assert [row["x"] for row in results.rows] == [1, 2]
-        assert list(results.failures) == ["x -1"]
+        results = done(1, -1, 2)
+        assert [row["x"] for row in results.rows] == [1, 2] and list(results.failures) == ["x -1"]
         assert results.failures["x -1"].startswith("ValueError: -1 is negative (test_jobs.py, line ")
     assert log.read_text().split() == ["1", "-1", "2", "-1"]
-    assert run(refuse, numbers(1), tmp_path / "r.jsonl", version="1").failures == {"x 1": "give another x"}
-    assert "not JSON serializable" in run(unwritable, numbers(1), tmp_path / "r.jsonl", version="1").failures["x 1"]
+    for function, words in ((refuse, "give another x"), (unwritable, "not JSON serializable")):
+        assert words in run(function, numbers(1), tmp_path / "r.jsonl", version="1").failures["x 1"]
 
 
 def test_processes_have_one_thread_and_their_failures_come_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,36 +174,35 @@ def alive(group: int) -> bool:
     return True
 
 
-def test_a_line_cut_off_by_a_kill_is_done_again(tmp_path: Path) -> None:
+def test_a_line_cut_off_by_a_kill_is_done_again(done: Callable[..., Results], tmp_path: Path) -> None:
     file = tmp_path / "r.jsonl"
-    run(square, numbers(1, 2), file, version="1", executor=local(1))
+    done(1, 2)
     whole = file.read_bytes()
     for end in range(len(whole) - 1, whole.index(b"\n"), -7):
         file.write_bytes(whole[:end])
-        assert [row["square"] for row in run(square, numbers(1, 2), file, version="1", executor=local(1)).rows] == [1, 4]
-        assert file.read_bytes() == whole
+        assert squares(done(1, 2)) == [1, 4] and file.read_bytes() == whole
 
 
 @pytest.mark.parametrize(
     "junk", [b"\0" * 40, b'{"id": "ab\0\0\n', b"\xff\xfe\n", b'{"key": 1}\n', b'{"id": "a", "result": 5}\n', b"[", b"\n"]
 )
-def test_junk_in_the_last_line_costs_that_line(junk: bytes, tmp_path: Path) -> None:
-    log, file = tmp_path / "log", tmp_path / "r.jsonl"
-    run(square, numbers(1, 2, log=str(log)), file, version="1", executor=local(1))
+def test_junk_in_the_last_line_costs_that_line(junk: bytes, done: Callable[..., Results], log: Path, tmp_path: Path) -> None:
+    file = tmp_path / "r.jsonl"
+    done(1, 2)
     whole = file.read_bytes()
     for content, again in ((whole + junk, 0), (whole[: whole.index(b"\n") + 1] + junk, 1)):
         file.write_bytes(content)
         log.write_text("")
-        assert [row["square"] for row in run(square, numbers(1, 2, log=str(log)), file, version="1", executor=local(1)).rows] == [1, 4]
+        assert squares(done(1, 2)) == [1, 4]
         assert file.read_bytes() == whole and len(log.read_text().split()) == again
 
 
 @pytest.mark.parametrize("content", [b"notes\n", b'{"a": 1}\n', b"[1]\n", b"a file of mine"])
-def test_files_of_another_kind_are_left_alone(content: bytes, tmp_path: Path) -> None:
+def test_files_of_another_kind_are_left_alone(content: bytes, done: Callable[..., Results], tmp_path: Path) -> None:
     file = tmp_path / "mine.txt"
     file.write_bytes(content)
     with refusal(r"mine\.txt: holds something other than job results"):
-        run(square, numbers(1), file, version="1", executor=local(1))
+        done(1, file=file)
     assert file.read_bytes() == content
 
 

@@ -6,9 +6,8 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from luxloop.loop.scenario.model import Scenario, load
+from luxloop import LuxloopError, Scenario, load
 from luxloop.loop.studies.campaign import CampaignParams
-from luxloop.world.errors import LuxloopError
 from luxloop.world.lamps.description import LampDescription
 
 LEAST, MOST = ("minimum", "exclusiveMinimum"), ("maximum", "exclusiveMaximum")

@@ -10,10 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop.loop.commands import cli
-from luxloop.loop.scenario.model import Scenario, load
+from luxloop import Scenario, Simulation, load
 from luxloop.loop.simulation.result import Rollout
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies import gradient, objective, ranges
 from luxloop.loop.studies import tune as module
 from luxloop.loop.studies.batch.rollouts import rollouts
@@ -22,6 +20,7 @@ from luxloop.loop.studies.jobs import local
 from luxloop.loop.studies.tune import FINISHED, STUDY, Task, Trace, Tuning, study_in, tune
 from luxloop.loop.studies.tune_report import BEST, PICTURE, REPORT, write
 from tests.lamps import SMALL_LAMP
+from tests.loop.conftest import Lux, assert_refused
 from tests.refusal import refusal
 
 SMALL = [
@@ -36,8 +35,10 @@ def scenario() -> Scenario:
     return load("flat", [*SMALL, "functions.symbol.controller.name=thesis_pid"])
 
 
-def task(scenario: Scenario, seeds: int = 2) -> Task:
-    return Task((scenario,), tuple(ranges.parse(key, [scenario]) for key in KEYS), objective.parse("iou+0.1*energy"), seeds)
+def task(scenario: Scenario, seeds: int = 2, *keys: str) -> Task:
+    """Of the sum of energy and overlap, or of overlap alone for other keys."""
+    found = tuple(ranges.parse(key, [scenario]) for key in keys or KEYS)
+    return Task((scenario,), found, objective.parse("iou" if keys else "iou+0.1*energy"), seeds)
 
 
 @pytest.mark.parametrize(
@@ -111,12 +112,10 @@ def test_objectives_weigh_terms_and_failures_are_dear() -> None:
 
 def test_a_lost_symbol_is_never_cheaper_than_one_far_off() -> None:
     never = {"steps": 40, "settle_step": None, "iou_mean": 0.0, "utilisation_mean": 1.0}
-    lost, far = (
-        {**never, "residual_percent": None, "overshoot_percent": None},
-        {**never, "residual_percent": 40.0, "overshoot_percent": 900.0},
-    )
+    ends = ({"residual_percent": None, "overshoot_percent": None}, {"residual_percent": 40.0, "overshoot_percent": 900.0})
     for text in (*objective.TERMS, "settling+residual"):
-        assert objective.parse(text).cost(lost) >= objective.parse(text).cost(far)
+        lost, far = (objective.parse(text).cost(never | end) for end in ends)
+        assert lost >= far
 
 
 def trials(tuned: Tuning) -> list[tuple[dict[str, float], float | None, str]]:
@@ -132,10 +131,9 @@ def test_what_is_best_is_better_and_can_be_run(tuned: Tuning, scenario: Scenario
     values, cost = tuned.best
     assert cost < tuned.given_cost
     assert cost == min(value for _, value, state in trials(tuned) if value is not None and state == "COMPLETE")
-    assert all(
-        0.1 <= each["functions.symbol.controller.position.kp"] <= 2 and each["functions.symbol.controller.losses_to_reset"] in (1, 2, 3, 4)
-        for each, _, _ in trials(tuned)
-    )
+    for each, _, _ in trials(tuned):
+        kp, losses = (each[key.partition("=")[0]] for key in KEYS)
+        assert 0.1 <= kp <= 2 and losses in (1, 2, 3, 4)
     write(tuned, tmp_path)
     run = load("flat", [*SMALL, "functions.symbol.controller.name=thesis_pid", str(tmp_path / BEST)])
     assert run == ranges.with_values(scenario, values)
@@ -220,17 +218,19 @@ class Frail(OpenLoop):
 """
 
 
-def test_failures_of_trials_are_told_and_those_of_all_given_runs_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def frail(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "frail_controllers.py").write_text(FRAIL)
     monkeypatch.syspath_prepend(tmp_path)
+    return tmp_path
 
+
+def test_failures_of_trials_are_told_and_those_of_all_given_runs_stop(frail: Path) -> None:
     def weighing(weight: float) -> Task:
-        scenario = load(
-            "flat", [*SMALL, f"functions.symbol.controller={{ name='frail_controllers:Frail', options={{ weight={weight} }} }}"]
-        )
-        return Task((scenario,), (ranges.parse("functions.symbol.controller.options.weight=0.0:1.0", [scenario]),), objective.parse("iou"))
+        own = f"functions.symbol.controller={{ name='frail_controllers:Frail', options={{ weight={weight} }} }}"
+        return task(load("flat", [*SMALL, own]), 1, "functions.symbol.controller.options.weight=0.0:1.0")
 
-    folder = tmp_path / "study"
+    folder = frail / "study"
     with refusal(r"every run with the given values fails.*IndexError: too heavy"):
         tune(weighing(0.9), folder, 1, local(1))
     tuned = tune(weighing(0.1), folder, 4, local(1))  # in the same folder, of which nothing was made
@@ -241,17 +241,11 @@ def test_failures_of_trials_are_told_and_those_of_all_given_runs_stop(tmp_path: 
     assert re.search(rf"{len(heavy)} runs? failed, the first: .*IndexError: too heavy", (folder / REPORT).read_text())
 
 
-def test_an_option_that_a_class_of_ones_own_lacks_is_refused_before_anything_is_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "frail_controllers.py").write_text(FRAIL)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.chdir(tmp_path)
+def test_an_option_that_a_class_of_ones_own_lacks_is_refused_before_anything_is_made(frail: Path, lux: Lux) -> None:
     given = ["--controller", "frail_controllers:Frail", "--trials", "1", "--jobs", "1", "--objective", "iou", "--set", *SMALL]
-    assert cli.main(["tune", "flat", "--key", "functions.symbol.controller.options.wieght=0.1:0.4", *given]) == cli.WRONG
-    said = " ".join(capsys.readouterr().err.split())
-    assert "controller.options.wieght: " in said and "did you mean 'weight'?" in said
-    assert not (tmp_path / "runs").exists()
+    done = lux("tune", "flat", "--key", "functions.symbol.controller.options.wieght=0.1:0.4", *given)
+    assert_refused(done, "controller.options.wieght: ", "did you mean 'weight'?")
+    assert not (frail / "runs").exists()
 
 
 @pytest.mark.parametrize("line", [b"{}", b"[]", b'{"op_code": 4}', b"[" * 100_000, b'{"op_code": 99, "worker_id": ""}'])
@@ -276,40 +270,25 @@ def test_other_settings_need_another_folder(tmp_path: Path) -> None:
             pass
 
 
-def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_command(lux: Lux) -> None:
     given = ["--objective", "settling", "--trials", "2", "--jobs", "1", "--set", *SMALL, "functions.symbol.controller.name=thesis_pid"]
-    assert cli.main(["tune", "flat", "--key", *KEYS, *given]) == cli.OK
-    said = capsys.readouterr()
-    assert "runs/tune-flat" in said.out and "No trial settled; raise steps." in said.out
-    assert not said.err  # not that of an empty folder something was done before
-    for wrong, said in (
-        (["tune", "flat"], "--key: is missing"),
-        (["tune", "flat", "--key", KEYS[0], "--trials", "0"], "for --trials; must be >= 1"),
-        (["tune", "flat", "--key", KEYS[0], "--jobs", "0"], "for --jobs; must be >= 1"),
-    ):
-        assert cli.main(wrong) == cli.WRONG
-        assert said in capsys.readouterr().err
+    code, out, error = lux("tune", "flat", "--key", *KEYS, *given)
+    assert code == 0 and "runs/tune-flat" in out and "No trial settled; raise steps." in out
+    assert not error  # not that of an empty folder something was done before
+    assert_refused(lux("tune", "flat"), "--key: is missing")
+    for option in ("--trials", "--jobs"):
+        assert_refused(lux("tune", "flat", "--key", KEYS[0], option, "0"), f"for {option}; must be >= 1")
 
 
 SEEN = [
-    *(
-        "steps=4",
-        "functions.symbol.controller.name=thesis_pid",
-        f"headlight.model={SMALL_LAMP}",
-        "functions.symbol={ width_m=3.0, length_m=8.0 }",
-        "functions.symbol.start.x_m=15.0",
-    ),
-    *("camera={ width_px=240, height_px=135, oversampling=1 }", "renderer=raycast", "road.kind=flat"),
+    *("steps=4", "functions.symbol.controller.name=thesis_pid", f"headlight.model={SMALL_LAMP}", "renderer=raycast", "road.kind=flat"),
+    *("functions.symbol={ width_m=3.0, length_m=8.0, start.x_m=15.0 }", "camera={ width_px=240, height_px=135, oversampling=1 }"),
 ]
 
 
 def small(scenario: Scenario) -> Task:
-    found = tuple(
-        ranges.parse(key, [scenario])
-        for key in ("functions.symbol.controller.position.kp=0.05:1.5:log", "functions.symbol.controller.rotation.kp=0.05:1")
-    )
-    return Task((scenario,), found, objective.parse("iou"))
+    gains = ("functions.symbol.controller.position.kp=0.05:1.5:log", "functions.symbol.controller.rotation.kp=0.05:1")
+    return task(scenario, 1, *gains)
 
 
 def test_descent_learns_from_its_runs_and_goes_on_after_a_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -371,27 +350,25 @@ def test_scenarios_of_which_all_runs_fail_are_named_with_the_reason(tmp_path: Pa
 
 @pytest.mark.parametrize("given", [5.4321e-8, 0.12345678])
 def test_what_descent_finds_keeps_its_digits_and_its_range(given: float) -> None:
-    scenario = load("snowflake", [*SEEN, "steps=3", f"functions.symbol.controller.position.ki={given}"])
-    narrow = (ranges.parse(f"functions.symbol.controller.position.ki={0.9999999 * given}:{1.0000001 * given}:log", [scenario]),)
-    tuned = Task((scenario,), narrow, objective.parse("iou"))
+    key = "functions.symbol.controller.position.ki"
+    tuned = task(load("snowflake", [*SEEN, "steps=3", f"{key}={given}"]), 1, f"{key}={0.9999999 * given}:{1.0000001 * given}:log")
     (found,) = gradient._values(tuned, gradient._logits(tuned, tuned.start_values)).values()
-    assert narrow[0].low <= found <= narrow[0].high
+    assert tuned.ranges[0].low <= found <= tuned.ranges[0].high
 
 
 @pytest.mark.parametrize(
-    ("changes", "key", "said"),
+    ("change", "key", "said"),
     [
-        ((), KEYS[1], "losses_to_reset: takes whole numbers"),
-        (("functions.symbol.extraction.kind=own:Extraction",), KEYS[0], r"extraction.kind: no error model for .* leave it out"),
+        ("steps=4", KEYS[1], "losses_to_reset: takes whole numbers"),
+        ("functions.symbol.extraction.kind=own:Extraction", KEYS[0], r"extraction.kind: no error model for .* leave it out"),
         (
-            ("functions.symbol.start_s=0.03",),
+            "functions.symbol.start_s=0.03",
             KEYS[0],
-            r"functions\.symbol\.start_s: batches show the symbol in all steps; .*without --gradient",
+            r"symbol\.start_s: batches show the symbol in all steps; .*without --gradient",
         ),
-        (("functions.symbol.extraction={ area_low=0.9999999, area_high=1.0000001 }",), KEYS[0], "its symbol is never seen"),
+        ("functions.symbol.extraction={ area_low=0.9999999, area_high=1.0000001 }", KEYS[0], "its symbol is never seen"),
     ],
 )
-def test_what_cannot_be_descended_on_is_refused(changes: tuple[str, ...], key: str, said: str, tmp_path: Path) -> None:
-    scenario = load("snowflake", [*SEEN, *changes])
+def test_what_cannot_be_descended_on_is_refused(change: str, key: str, said: str, tmp_path: Path) -> None:
     with refusal(said):
-        gradient.tune_by_gradient(Task((scenario,), (ranges.parse(key, [scenario]),), objective.parse("iou")), tmp_path, 2, local(1))
+        gradient.tune_by_gradient(task(load("snowflake", [*SEEN, change]), 1, key), tmp_path, 2, local(1))

@@ -48,9 +48,25 @@ class Watcher:
     def __init__(self, socket: ClientConnection) -> None:
         self.socket, self.got = socket, list[tuple[dict[str, Any], Arrays]]()
 
-    def say(self, arrays: Arrays | None = None, **head: Any) -> None:
+    def say(self, type: str, arrays: Arrays | None = None, **head: Any) -> None:
         """Send a message."""
-        self.socket.send(message(arrays, **head))
+        self.socket.send(message(arrays, type=type, **head))
+
+    def set(self, *overrides: str) -> dict[str, Any]:
+        """Set keys, and wait for the edit."""
+        self.say("set", overrides=overrides)
+        return self.of("edit")[0]
+
+    def step(self, *steps: int) -> None:
+        """Do steps of these numbers one after the other."""
+        for step in steps:
+            self.say("step")
+            self.of("step", step=step)
+
+    def reset(self) -> None:
+        """Begin anew."""
+        self.say("reset")
+        self.of("scenario")
 
     def until(self, fits: Callable[[dict[str, Any]], bool], timeout_s: float = 120.0) -> tuple[dict[str, Any], Arrays]:
         """Wait for a message that fits; the time is what a busy machine takes to prepare a scenario."""
@@ -59,7 +75,7 @@ class Watcher:
             assert isinstance(data, bytes)
             self.got.append(unpacked(data))
             if self.got[-1][0]["type"] == "step":
-                self.say(type="shown", id=self.got[-1][0]["id"])
+                self.say("shown", id=self.got[-1][0]["id"])
             if fits(self.got[-1][0]):
                 return self.got[-1]
 
@@ -73,5 +89,5 @@ def watching(port: int, token: str) -> Iterator[Watcher]:
     """A client that has said hello."""
     with connect(f"ws://127.0.0.1:{port}/socket", max_size=None, compression=None) as socket:
         watcher = Watcher(socket)
-        watcher.say(type="hello", token=token)
+        watcher.say("hello", token=token)
         yield watcher

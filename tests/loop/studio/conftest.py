@@ -10,8 +10,11 @@ from typing import TYPE_CHECKING
 import pytest
 from websockets.asyncio.server import Server
 
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.studio.runs import Run
 from luxloop.loop.studio.server import Studio, Tokens
 from luxloop.loop.studio.sources import Source
+from tests.loop.studio.clients import Watcher, watching
 
 if TYPE_CHECKING:
     from selenium.webdriver import Chrome
@@ -36,6 +39,16 @@ class Served:
     studio: Studio
     server: Server
 
+    @property
+    def run(self) -> Run:
+        """The first that is shown."""
+        return self.studio.session.state.runs[0]
+
+    @property
+    def scenario(self) -> Scenario:
+        """As the simulation has it now."""
+        return self.run.simulation.scenario
+
 
 @pytest.fixture(scope="session")
 def page_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -49,6 +62,14 @@ def page_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def served(page_folder: Path) -> Iterator[Served]:
     yield from serving(Source("snowflake", SMALL), page_folder)
+
+
+@pytest.fixture
+def editor(served: Served) -> Iterator[Watcher]:
+    """A client that may edit, once it knows the scenario."""
+    with watching(served.port, served.tokens.edit) as editor:
+        editor.of("scenario")
+        yield editor
 
 
 @pytest.fixture(scope="module")  # an open page draws for ever, beside all later tests

@@ -1,16 +1,17 @@
 """The page in a real browser, which all files share: how it is opened and waited for."""
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 from selenium import webdriver
+from selenium.webdriver.common.by import By
+from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.ui import WebDriverWait
 
-from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.studio.page import PAGE
 from tests.loop.studio.conftest import Served
 
@@ -59,6 +60,15 @@ def until(browser: webdriver.Chrome, script: str) -> Any:
     return WebDriverWait(browser, WAIT_S, 0.1).until(lambda driver: driver.execute_script(script))
 
 
-def scenario(served: Served) -> Scenario:
-    """As the simulation has it now."""
-    return served.studio.session.state.runs[0].simulation.scenario
+def until_here(condition: Callable[[], Any]) -> Any:
+    """Wait for something on the server's side."""
+    return WebDriverWait(None, WAIT_S, 0.1).until(lambda _: condition())
+
+
+def press(browser: webdriver.Chrome, *keys: str) -> None:
+    """Keys on the page as a whole."""
+    browser.find_element(By.TAG_NAME, "body").send_keys(*keys)
+
+
+def one(browser: webdriver.Chrome, css: str) -> WebElement:
+    return browser.find_element(By.CSS_SELECTOR, css)

@@ -22,7 +22,7 @@ from luxloop.loop.studio.runs import Run
 from luxloop.loop.studio.sources import Source
 from luxloop.world.light.illumination import DirectTransport, illuminance
 from tests.loop.studio.conftest import SMALL, Served, serving
-from tests.loop.studio.pages import IN_BROWSER, WAIT_S, until, visit
+from tests.loop.studio.pages import IN_BROWSER, WAIT_S, one, press, until, until_here, visit
 from tests.loop.studio.proxy import network
 
 pytestmark = IN_BROWSER
@@ -74,17 +74,16 @@ def compared(browser: webdriver.Chrome, run: Run) -> np.ndarray:
 @pytest.mark.slow
 def test_light_in_the_shader_is_that_of_the_library(browser: webdriver.Chrome, objects: Served) -> None:
     visit(browser, objects)
-    shader, lx, _ = compared(browser, objects.studio.session.state.runs[0])
+    shader, lx, _ = compared(browser, objects.run)
     lit = lx >= 0.5
     assert lit.sum() > 500 and np.abs(shader[lit] / lx[lit] - 1).max() < 0.02
 
 
 def test_keys_steer_the_loop_on_a_page_that_asks_nobody_else_and_complains_of_nothing(page: webdriver.Chrome, objects: Served) -> None:
-    body = page.find_element(By.TAG_NAME, "body")
-    body.send_keys(".")
+    press(page, ".")
     until(page, "return document.body.innerText.includes('step 1')")
-    assert len(objects.studio.session.state.runs[0].rows) == 2
-    body.send_keys("r")
+    assert len(objects.run.rows) == 2
+    press(page, "r")
     until(page, "return document.body.innerText.includes('step 0')")
     names = page.execute_script("return performance.getEntriesByType('resource').map((each) => each.name)")
     assert names and all(name.startswith(f"http://127.0.0.1:{objects.port}/") for name in names)
@@ -92,20 +91,20 @@ def test_keys_steer_the_loop_on_a_page_that_asks_nobody_else_and_complains_of_no
 
 
 def test_texts_are_legible_and_controls_have_names(page: webdriver.Chrome) -> None:
-    script, body = (Path(__file__).parent / "legible.js").read_text("utf-8"), page.find_element(By.TAG_NAME, "body")
+    script = (Path(__file__).parent / "legible.js").read_text("utf-8")
     assert page.execute_script(script) == [[], []]
     for key, there in (("k", ".function"), ("e", ".things"), ("5", ".beam-controls"), ("?", "dialog[open]")):
-        body.send_keys(key)
+        press(page, key)
         until(page, f"return document.querySelector('{there}')?.checkVisibility()")
         assert page.execute_script(script) == [[], []], key
-    page.find_element(By.CSS_SELECTOR, "dialog[open]").send_keys(Keys.ESCAPE)
+    one(page, "dialog[open]").send_keys(Keys.ESCAPE)
 
 
 def test_a_watcher_sees_and_cannot_steer(browser: webdriver.Chrome, objects: Served) -> None:
     visit(browser, objects, objects.tokens.watch)
-    (run,) = objects.studio.session.state.runs
+    run = objects.run
     before = len(run.rows)
-    browser.find_element(By.TAG_NAME, "body").send_keys(".r")
+    press(browser, ".r")
     browser.execute_async_script("const done = arguments[0]; setTimeout(done, 1000)")  # in which an editor's step is done
     assert objects.studio.session.state.runs == (run,) and len(run.rows) == before
 
@@ -115,21 +114,21 @@ def test_a_page_without_a_scenario_offers_those_there_are(browser: webdriver.Chr
         browser.get("about:blank")
         browser.get(f"http://127.0.0.1:{served.port}/#{served.tokens.edit}")
         until(browser, "return document.querySelector('.notice')?.textContent.includes('nowhere')")
-        browser.find_element(By.CSS_SELECTOR, "[aria-label^='Scenario: ']").click()
+        one(browser, "[aria-label^='Scenario: ']").click()
         until(browser, "return [...document.querySelectorAll('[role=option]')].some((each) => each.dataset.name === 'gfhb')")
 
 
 def test_a_page_whose_network_is_cut_goes_on_with_the_same_run(browser: webdriver.Chrome, objects: Served) -> None:
     with network(objects.port) as between:
         visit(browser, replace(objects, port=between.port))
-        (run,) = objects.studio.session.state.runs
+        run = objects.run
         done = len(run.snapshots)
         between.cut()
         until(browser, "return document.querySelector('.notice').textContent.includes('is cut')")
         between.restore()
         until(browser, "return window.luxloop.store.state.link === 'open' && window.luxloop.store.state.status !== null")
         until(browser, f"return window.luxloop.store.state.runs[0]?.shown?.step === {done - 1}")
-        browser.find_element(By.TAG_NAME, "body").send_keys(".")
+        press(browser, ".")
         until(browser, f"return window.luxloop.store.state.runs[0].shown?.step === {done}")
         assert objects.studio.session.state.runs == (run,) and len(run.snapshots) == done + 1
 
@@ -140,25 +139,24 @@ def test_a_run_is_steered_scrubbed_and_compared(browser: webdriver.Chrome) -> No
         visit(browser, served)
         shown = "window.luxloop.store.state.runs[0].shown?"
         for step in (1, 2, 3):
-            browser.find_element(By.CSS_SELECTOR, "[aria-label='One step (.)']").click()
+            one(browser, "[aria-label='One step (.)']").click()
             until(browser, f"return {shown}.step === {step}")
-        slider = browser.find_element(By.CSS_SELECTOR, ".scrub")
+        slider = one(browser, ".scrub")
         slider.send_keys(Keys.ARROW_LEFT)
         until(browser, f"return {shown}.scrub && {shown}.step === 2")
         browser.find_element(By.XPATH, "//button[text()='live']").click()
         until(browser, f"return !{shown}.scrub && {shown}.step === 3")
 
-        ActionChains(browser).move_to_element(browser.find_element(By.CSS_SELECTOR, ".camera canvas")).perform()
+        ActionChains(browser).move_to_element(one(browser, ".camera canvas")).perform()
         until(browser, r"return /^u \d+, v \d+: \d+ of \d+$/.test(document.querySelector('.camera .readout').textContent)")
 
-        keys = browser.find_element(By.CSS_SELECTOR, ".keys")
+        keys = one(browser, ".keys")
         keys.send_keys("camera.bitz=10", Keys.ENTER)
         until(browser, "return document.querySelector('.toast')?.textContent.includes('camera.bitz: unknown key')")
         keys.clear()
         keys.send_keys("functions.symbol.controller.position.kp=0.9", Keys.SHIFT, Keys.ENTER)
         until(browser, "return window.luxloop.store.state.runs.length === 2 && window.luxloop.scenes.length === 2")
-        one, two = served.studio.session.state.runs
-        gains = [run.simulation.scenario.symbol.controller.position.kp for run in (one, two)]
+        gains = [run.simulation.scenario.symbol.controller.position.kp for run in served.studio.session.state.runs]
         assert gains[0] != gains[1] == 0.9
 
 
@@ -167,7 +165,7 @@ def test_every_view_is_drawn(browser: webdriver.Chrome, objects: Served, tmp_pat
     visit(browser, objects)
     pictures = []
     for key in "12345":
-        browser.find_element(By.TAG_NAME, "body").send_keys(key)
+        press(browser, key)
         browser.execute_async_script("const done = arguments[0]; setTimeout(done, 2000)")
         pictures.append(browser.get_screenshot_as_png())
         (Path(os.environ.get("LUXLOOP_SHOTS", tmp_path)) / f"view{key}.png").write_bytes(pictures[-1])
@@ -178,13 +176,13 @@ def test_shadows_in_the_shader_are_those_of_the_library(browser: webdriver.Chrom
     session = objects.studio.session
     number = session.state.number
     session.ask(Button(type="reset"), print)  # what other tests may have stepped
-    WebDriverWait(browser, WAIT_S).until(lambda _: session.state.number > number)
+    until_here(lambda: session.state.number > number)
     (run,) = session.state.runs
     before = run.snapshots[0]
     # lower than the lamps, so that the camera sees its shadow beyond
     box = 'objects=[{name="box", kind="box", category="other", size_m=[0.5, 1.5, 0.4], track=[{position_m=[9.0, 0.0, 0.0]}]}]'
     session.ask(Set(type="set", overrides=("functions={}", "checks={}", "lighting.base.beam=full", box)), print)
-    WebDriverWait(browser, WAIT_S).until(lambda _: run.snapshots[0] is not before)  # in the other world
+    until_here(lambda: run.snapshots[0] is not before)  # in the other world
     visit(browser, objects)
     shader, lx, open_ = compared(browser, run)
     assert (lx < 0.9 * open_).sum() > 20  # in the shadow of one lamp or of both

@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from luxloop import Client, connect, load, prepare
 from luxloop.loop.recording.record import row
-from luxloop.loop.run import prepare
-from luxloop.loop.scenario.model import load
-from luxloop.loop.studio.client import Client, connect
 from luxloop.loop.studio.shared import BlockReader, Blocks
 from tests.loop.studio.conftest import SMALL, Served
 from tests.refusal import refusal
@@ -62,55 +60,55 @@ def test_what_a_pixel_sees_is_as_the_library_has_it(client: Client) -> None:
 
 
 def test_objects_are_told_with_their_boxes(client: Client) -> None:
-    client.set(
-        {"objects": [{"kind": "pedestrian", "name": "walker", "category": "pedestrian", "track": [{"position_m": [15.0, 0.0, 0.0]}]}]}
-    )
+    walker = {"kind": "pedestrian", "name": "walker", "category": "pedestrian", "track": [{"position_m": [15.0, 0.0, 0.0]}]}
+    client.set({"objects": [walker]})
     client.want(*EXACT)
     state = client.step()
-    (told,) = state.objects
-    assert told["category"] == "pedestrian" and state.instance_names[told["instance"]] == told["name"]
-    left, top, right, bottom = told["box"]
-    assert state.instances is not None
-    rows, columns = np.nonzero(state.instances == told["instance"])
-    assert (left, top, right, bottom) == (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
-    assert told["T_world_object"][3] == pytest.approx(15.0, abs=0.5) and told["size_m"][2] > 1.0
+    (found,) = state.objects
+    assert found["category"] == "pedestrian" and state.instance_names[found["instance"]] == found["name"]
+    rows, columns = np.nonzero(state.instances == found["instance"])
+    assert tuple(found["box"]) == (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
+    assert found["T_world_object"][3] == pytest.approx(15.0, abs=0.5) and found["size_m"][2] > 1.0
 
 
-def test_light_and_utilisations_are_those_that_are_shown(client: Client, served: Served) -> None:
+def test_light_and_utilisations_are_those_that_are_shown_and_nothing_is_made_that_nobody_wants(client: Client, served: Served) -> None:
     client.want("light", "matrix")
-    state = client.step()
-    (run,) = served.studio.session.state.runs
+    state, run = client.step(), served.run
     for module, u in zip(run.simulation.modules, run.snapshots[-1].lights, strict=True):
         expected = module.headlight.light_texture(u).numpy()
         assert np.abs(state.light[module.name] - expected).max() <= expected.max() * 2**-10  # a half float has 11 bits
         assert np.array_equal(state.utilisations[module.name].flatten(), (255 * u).round().byte().numpy())
+    client.want("truth")
+    client.step()
+    assert not run.snapshots[-1].exact and not run.snapshots[-1].pictures
+    client.want("depth")
+    client.step()
+    assert run.snapshots[-1].exact and not run.snapshots[-2].exact
 
 
 def test_raw_utilisations_are_shown_in_the_next_step_and_recorded_as_an_edit(client: Client, served: Served) -> None:
     module = client.facts["modules"][0]
-    size = module["pixel_rows"], module["pixel_cols"]
+    name, size = module["name"], (module["pixel_rows"], module["pixel_cols"])
     for share in (0.2, 0.6):
-        client.show(module["name"], np.full(size, share))
-        state = client.step()
-        assert (state.utilisations[module["name"]] == round(255 * share)).all()
-    (run,) = served.studio.session.state.runs
-    assert [each.step for each in run.tally.edits] == [1, 2]
-    client.show(module["name"], None)
-    assert client.step().utilisations[module["name"]].min() == 0
-    with refusal("there is no module 'middle'"):
-        client.show("middle", np.zeros(size))
-    with refusal("pixels"):
-        client.show(module["name"], np.zeros((2, 2)))
+        client.show(name, np.full(size, share))
+        assert (client.step().utilisations[name] == round(255 * share)).all()
+    assert [each.step for each in served.run.tally.edits] == [1, 2]
+    client.show(name, None)
+    assert client.step().utilisations[name].min() == 0
+    for wrong, picture, words in (("middle", np.zeros(size), "there is no module 'middle'"), (name, np.zeros((2, 2)), "pixels")):
+        with refusal(words):
+            client.show(wrong, picture)
 
 
-def test_modules_are_commanded(client: Client, served: Served) -> None:
+def test_modules_are_commanded(client: Client) -> None:
     client._ask("open", name="flat", overrides=[*SMALL, "functions.symbol={}", "headlight.model=ssl-hd"])
-    client.command("left hires", swivel_deg=5.0, intensity=0.5)
-    metrics = client.step().metrics
-    assert (metrics["modules.left hires.swivel_deg"], metrics["modules.left hires.intensity"]) == (5.0, 0.5)
-    client.command("left hires", level_deg=1.0)
-    metrics = client.step().metrics
-    assert (metrics["modules.left hires.swivel_deg"], metrics["modules.left hires.level_deg"]) == (0.0, 1.0)
+    for command, expected in (
+        ({"swivel_deg": 5.0, "intensity": 0.5}, {"swivel_deg": 5.0, "intensity": 0.5}),
+        ({"level_deg": 1.0}, {"swivel_deg": 0.0, "level_deg": 1.0}),
+    ):
+        client.command("left hires", **command)
+        metrics = client.step().metrics
+        assert {key: metrics[f"modules.left hires.{key}"] for key in expected} == expected
 
 
 def test_who_runs_freely_gets_the_newest_and_the_last(client: Client) -> None:
@@ -128,14 +126,14 @@ def test_who_runs_freely_gets_the_newest_and_the_last(client: Client) -> None:
 
 
 def test_errors_are_raised_and_watchers_change_nothing(client: Client, served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    with refusal("did you mean 'bits'"):
-        client.set({"camera.bitz": 8})
-    with refusal("names a file"):
-        client.set({"headlight.model": "/etc/passwd"})
-    with refusal("at most 100 items"):
-        client.set({f"functions.f{k}": None for k in range(101)})
-    with refusal("its head has"):  # so that nobody reads its `ask`
-        client.set({"name": "x" * 2**21})
+    for changes, words in (
+        ({"camera.bitz": 8}, "did you mean 'bits'"),
+        ({"headlight.model": "/etc/passwd"}, "names a file"),
+        ({f"functions.f{k}": None for k in range(101)}, "at most 100 items"),
+        ({"name": "x" * 2**21}, "its head has"),  # so that nobody reads its `ask`
+    ):
+        with refusal(words):
+            client.set(changes)
     monkeypatch.setenv("http_proxy", "http://127.0.0.1:1")
     with connect(address(served, served.tokens.watch), views=("truth",)) as watcher:
         assert watcher.role == "watch"
@@ -145,22 +143,13 @@ def test_errors_are_raised_and_watchers_change_nothing(client: Client, served: S
         step = client.step().step
         watcher._wait(lambda: watcher._got.state is not None and watcher._got.state.step == step)
         assert watcher.scenario["name"] == "snowflake"
-    with refusal("not of this studio"):
-        connect(address(served, "guess"))
-    with refusal("no address of a studio"):
-        connect("http://127.0.0.1:8765/")
-    with refusal("no studio answers"):
-        connect("http://127.0.0.1:1/#token")
-
-
-def test_nothing_is_made_that_nobody_wants(client: Client, served: Served) -> None:
-    client.want("truth")
-    client.step()
-    (run,) = served.studio.session.state.runs
-    assert not run.snapshots[-1].exact and not run.snapshots[-1].pictures
-    client.want("depth")
-    client.step()
-    assert run.snapshots[-1].exact and not run.snapshots[-2].exact
+    for place, words in (
+        (address(served, "guess"), "not of this studio"),
+        ("http://127.0.0.1:8765/", "no address of a studio"),
+        ("http://127.0.0.1:1/#token", "no studio answers"),
+    ):
+        with refusal(words):
+            connect(place)
 
 
 def blocks() -> set[str]:

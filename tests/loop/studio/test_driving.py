@@ -7,11 +7,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from luxloop import Simulation, load
 from luxloop.loop.recording.replay import load as recording
 from luxloop.loop.recording.replay import replay, rerun
-from luxloop.loop.scenario.model import load
 from luxloop.loop.scenario.text import scenario_text
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studio.sources import Source
 from tests.loop.studio.clients import Watcher, watching
 from tests.loop.studio.conftest import SMALL, Served, serving
@@ -42,47 +41,35 @@ def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def driver(served: Served) -> Iterator[Watcher]:
-    with watching(served.port, served.tokens.edit) as watcher:
-        watcher.of("scenario")
-        watcher.say(type="set", overrides=["vehicle.course=[{speed_m_s=10.0}]", "vehicle.roams=false", "steps=5", "seed=1"])
-        watcher.say(type="reset")
-        watcher.of("scenario", steps=5)
-        yield watcher
-
-
-def scenario_of(served: Served):
-    return served.studio.session.state.runs[0].simulation.scenario
-
-
-def steps(watcher: Watcher, first: int, count: int) -> None:
-    for step in range(first, first + count):
-        watcher.say(type="step")
-        watcher.of("step", step=step)
+def driver(editor: Watcher) -> Watcher:
+    editor.say("set", overrides=["vehicle.course=[{speed_m_s=10.0}]", "vehicle.roams=false", "steps=5", "seed=1"])
+    editor.say("reset")
+    editor.of("scenario", steps=5)
+    return editor
 
 
 def test_a_drive_goes_on_beyond_the_steps_is_recorded_and_repeated_bit_for_bit(
     served: Served, driver: Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    driver.say(type="record", folder="drive")
+    driver.say("record", folder="drive")
     driver.of("status", recording="drive")
-    driver.say(type="drive", throttle=1.0, steering=0.5)
+    driver.say("drive", throttle=1.0, steering=0.5)
     assert driver.of("edit")[0]["model"]["vehicle"]["roams"]
-    steps(driver, 1, 12)
-    driver.say(type="drive", throttle=-1.0, steering=-1.0)
-    steps(driver, 13, 8)
-    (run,) = served.studio.session.state.runs
+    driver.step(*range(1, 13))
+    driver.say("drive", throttle=-1.0, steering=-1.0)
+    driver.step(*range(13, 21))
+    run = served.run
     assert run.simulation.world.motion.at(13 * PERIOD_S).speed_m_s == pytest.approx(11.2, abs=1e-2)
     assert run.simulation.world.motion.at(21 * PERIOD_S).speed_m_s == pytest.approx(
         11.2 - 8 * 8 * PERIOD_S, abs=1e-2
     )  # linear between its moments
     assert not [head for head, _ in driver.got if head["type"] == "edit" and any("course[" in each for each in head["overrides"])]
-    driver.say(type="drive", throttle=None, steering=None)
+    driver.say("drive", throttle=None, steering=None)
     told = driver.of("edit")[0]
     assert told["model"]["vehicle"]["course"][-1]["curvature_1_m"] == 0 and told["model"]["steps"] == 22
-    steps(driver, 21, 1)
-    driver.say(type="record", folder=None)
+    driver.step(21)
+    driver.say("record", folder=None)
     driver.of("status", recording=None)
     read = recording(tmp_path / "runs" / "drive")
     assert len(read.edits) == 22 and sum(each.driven for each in read.edits) == 20
@@ -93,84 +80,72 @@ def test_a_drive_goes_on_beyond_the_steps_is_recorded_and_repeated_bit_for_bit(
 
 
 def test_a_drive_is_the_same_as_its_scenario_run_anew(served: Served, driver: Watcher, tmp_path: Path) -> None:
-    driver.say(type="drive", throttle=1.0, steering=1.0)
-    steps(driver, 1, 3)
-    driver.say(type="drive", throttle=None, steering=None)
+    driver.say("drive", throttle=1.0, steering=1.0)
+    driver.step(1, 2, 3)
+    driver.say("drive", throttle=None, steering=None)
     driver.of("edit", step=4)
-    driven = served.studio.session.state.runs[0].simulation
-    (tmp_path / "driven.toml").write_text(scenario_text(driven.scenario))
-    assert load(str(tmp_path / "driven.toml")) == driven.scenario
-    assert load(str(tmp_path / "driven.toml")).vehicle.course == driven.scenario.vehicle.course
+    (tmp_path / "driven.toml").write_text(scenario_text(served.scenario))
+    assert load(str(tmp_path / "driven.toml")) == served.scenario
 
 
 def test_edits_while_somebody_drives_are_taken_back_and_the_drive_stays(served: Served, driver: Watcher) -> None:
-    driver.say(type="drive", throttle=1.0, steering=0.0)
-    steps(driver, 1, 3)
-    driver.say(type="set", overrides=["lighting.base.beam=high"])
-    driver.of("edit", overrides=["lighting.base.beam=high"])
-    steps(driver, 4, 3)
-    course = scenario_of(served).vehicle.course
-    driver.say(type="undo")
+    driver.say("drive", throttle=1.0, steering=0.0)
+    driver.step(*range(1, 4))
+    driver.set("lighting.base.beam=high")
+    driver.step(*range(4, 7))
+    course = served.scenario.vehicle.course
+    driver.say("undo")
     driver.of("edit", overrides=['lighting.base.beam="low"'])
-    assert scenario_of(served).vehicle.course == course
+    assert served.scenario.vehicle.course == course
 
 
 def test_who_goes_away_lets_go(served: Served, driver: Watcher) -> None:
     with watching(served.port, served.tokens.edit) as other:
         other.of("scenario")
-        other.say(type="pen")
-        other.say(type="drive", throttle=1.0, steering=1.0)
+        other.say("pen")
+        other.say("drive", throttle=1.0, steering=1.0)
         other.of("edit")
-        steps(other, 1, 3)
+        other.step(*range(1, 4))
     driver.of("edit", step=4)
-    assert scenario_of(served).vehicle.course[-1].curvature_1_m == 0
+    assert served.scenario.vehicle.course[-1].curvature_1_m == 0
     assert served.studio.session._steering is None
 
 
 def test_traffic_stays_as_it_was_made(served: Served, driver: Watcher) -> None:
-    driver.say(type="set", overrides=["traffic={seed=3}", "steps=60"])
-    driver.of("edit")
-    before = scenario_of(served).all_objects
+    driver.set("traffic={seed=3}", "steps=60")
+    before = served.scenario.all_objects
     assert before
-    driver.say(type="drive", throttle=1.0, steering=1.0)
+    driver.say("drive", throttle=1.0, steering=1.0)
     driver.of("edit", step=1)
-    steps(driver, 1, 2)
-    assert scenario_of(served).all_objects == before and scenario_of(served).traffic.drive.lasts_s == 2
-    driver.say(type="drive", throttle=None, steering=None)
+    driver.step(*range(1, 3))
+    assert served.scenario.all_objects == before and served.scenario.traffic.drive.lasts_s == 2
+    driver.say("drive", throttle=None, steering=None)
     assert driver.of("edit")[0]["model"]["steps"] == 60
 
 
 def test_who_stands_cannot_drive_and_watchers_neither(served: Served, driver: Watcher) -> None:
-    driver.say(type="set", overrides=["vehicle={}"])
+    driver.say("set", overrides=["vehicle={}"])
     driver.of("scenario")
-    driver.say(type="drive", throttle=1.0, steering=0.0)
-    assert "the vehicle stands" in driver.of("error", about="drive")[0]["text"]
     with watching(served.port, served.tokens.watch) as watcher:
-        watcher.of("scenario")
-        watcher.say(type="drive", throttle=1.0, steering=0.0)
-        assert "watch" in watcher.of("error")[0]["text"]
+        for each, words in ((driver, "the vehicle stands"), (watcher, "watch")):
+            each.say("drive", throttle=1.0, steering=0.0)
+            assert words in each.of("error", about="drive")[0]["text"]
 
 
-def test_the_indicator_acts_at_the_next_step_and_is_repeated(
-    served: Served, driver: Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_indicator_acts_at_the_next_step_and_is_repeated(driver: Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    driver.say(type="set", overrides=['lighting.base.beam="off"', 'functions.turning={kind="primitive", indicated="left"}'])
-    driver.of("edit")
-    driver.say(type="reset")
-    driver.of("scenario")
-    driver.say(type="record", folder="indicated")
+    driver.set('lighting.base.beam="off"', 'functions.turning={kind="primitive", indicated="left"}')
+    driver.reset()
+    driver.say("record", folder="indicated")
     driver.of("status", recording="indicated")
-    steps(driver, 1, 1)
-    driver.say(type="set", overrides=['lighting.indicator="left"'])
-    driver.of("edit")
-    steps(driver, 2, 2)
-    driver.say(type="record", folder=None)
+    driver.step(1)
+    driver.set('lighting.indicator="left"')
+    driver.step(2, 3)
+    driver.say("record", folder=None)
     driver.of("status", recording=None)
     folder = tmp_path / "runs" / "indicated"
     flux = pq.read_table(folder / "trajectory.parquet")
     lit = [any(flux[name][k].as_py() > 0 for name in flux.column_names if name.endswith("flux_lm")) for k in range(4)]
     assert lit == [False, False, True, True]
     assert replay(folder).agrees
-    driver.say(type="set", overrides=["functions.turning={}", 'lighting.base.beam="low"', 'lighting.indicator="off"'])
-    driver.of("edit")
+    driver.set("functions.turning={}", 'lighting.base.beam="low"', 'lighting.indicator="off"')

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 import pytest
 from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
-from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 
 from luxloop.controllers.functions.commands import DirectParams
@@ -13,7 +12,7 @@ from luxloop.loop.studio.page import PAGE
 from luxloop.loop.studio.sources import Source
 from tests.loop.studio.clients import watching
 from tests.loop.studio.conftest import SMALL, Served, serving
-from tests.loop.studio.pages import IN_BROWSER, scenario, until, visit
+from tests.loop.studio.pages import IN_BROWSER, one, press, until, visit
 
 pytestmark = IN_BROWSER
 BUTTON = "[...document.querySelectorAll('.panel.scene button')].find((each) => each.textContent === 'Drive')"
@@ -41,19 +40,19 @@ def test_keys_drive_the_car_and_switch_its_light(browser: webdriver.Chrome, car:
     for key, shown in (("q", "left"), ("x", "hazard")):
         ActionChains(browser).send_keys(key).perform()
         until(browser, f"return luxloop.store.state.model.lighting.indicator === '{shown}'")
-    module = car.studio.session.state.runs[0].simulation.modules[0].name
-    slider = browser.find_element(By.CSS_SELECTOR, f"[aria-label='{module}, intensity']")
+    module = car.run.simulation.modules[0].name
+    slider = one(browser, f"[aria-label='{module}, intensity']")
     browser.execute_script(
         "arguments[0].closest('details').open = true; arguments[0].value = 0.25; arguments[0].dispatchEvent(new Event('input'))", slider
     )
     until(browser, "return luxloop.store.state.runs[0].rows.count && Object.keys(luxloop.store.state.model.functions).length === 1")
-    (commanding,) = scenario(car).functions.values()
+    (commanding,) = car.scenario.functions.values()
     assert isinstance(commanding, DirectParams) and (commanding.modules, commanding.intensity) == ((module,), 0.25)
-    browser.find_element(By.CSS_SELECTOR, f"[title='Let {module} rest']").click()
+    one(browser, f"[title='Let {module} rest']").click()
     until(browser, "return Object.keys(luxloop.store.state.model.functions).length === 0")
     ActionChains(browser).key_up(Keys.ARROW_UP).key_up("a").send_keys(Keys.ESCAPE).perform()
     until(browser, "return !luxloop.store.state.driving && luxloop.store.state.model.vehicle.course.at(-1).curvature_1_m === 0")
-    after = scenario(car)
+    after = car.scenario
     assert after.lighting.base.beam == "high" and after.vehicle is not None
     course = after.vehicle.course
     assert max(each.speed_m_s for each in course) > 6 and max(each.curvature_1_m for each in course) > 0.01
@@ -65,13 +64,13 @@ def test_a_car_that_stands_is_put_on_wheels(browser: webdriver.Chrome, car: Serv
     browser.get("about:blank")
     with watching(car.port, car.tokens.edit) as other:
         other.of("scenario")
-        other.say(type="pen")
-        other.say(type="set", overrides=["vehicle={}"])
+        other.say("pen")
+        other.say("set", overrides=["vehicle={}"])
         other.until(lambda head: head["type"] == "scenario" and head["model"]["vehicle"] is None)
     visit(browser, car)
     until(browser, f"return !{BUTTON}.disabled && luxloop.store.state.model.vehicle === null")
     browser.execute_script(f"window.confirm = () => true; {BUTTON}.click()")
     until(browser, "return luxloop.store.state.model.vehicle?.course[0].speed_m_s === 0")
     until(browser, "return luxloop.store.state.driving && luxloop.store.state.runs[0].newest > 1")
-    browser.find_element(By.TAG_NAME, "body").send_keys(Keys.ESCAPE)
+    press(browser, Keys.ESCAPE)
     until(browser, "return !luxloop.store.state.driving")

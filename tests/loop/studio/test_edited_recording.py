@@ -10,7 +10,7 @@ from luxloop.loop.recording.manifest import REPORT
 from luxloop.loop.recording.replay import load as recording
 from luxloop.loop.recording.replay import replay
 from luxloop.loop.studio.sources import Source
-from tests.loop.studio.clients import Watcher, watching
+from tests.loop.studio.clients import Watcher
 from tests.loop.studio.conftest import SMALL, Served, serving
 
 HELD = "{kind='symbol',image='snowflake',x_m=17.0,yaw_deg=20.0}"
@@ -28,26 +28,18 @@ def served(page_folder: Path) -> Iterator[Served]:
     yield from serving(Source("gfhb", SMALL), page_folder)
 
 
-@pytest.fixture
-def editor(served: Served) -> Iterator[Watcher]:
-    with watching(served.port, served.tokens.edit) as watcher:
-        watcher.of("scenario")
-        yield watcher
-
-
 @pytest.mark.slow
 def test_functions_come_and_go_in_a_recording(editor: Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     editor.of("step", step=0)
-    editor.say(type="record", folder="mine")
+    editor.say("record", folder="mine")
     editor.of("status", recording="mine")
     for step, overrides in enumerate(EDITS, 1):
-        editor.say(type="set", overrides=list(overrides))
+        editor.say("set", overrides=list(overrides))
         editor.of("edit")
-        editor.say(type="step")
-        editor.of("step", step=step)
+        editor.step(step)
     editor.of("status", recording=None)  # at the end of the run
-    editor.say(type="summary", run=0)
+    editor.say("summary", run=0)
     assert editor.of("summary")[0]["summary"]["steps"] == 6
     read = recording(tmp_path / "runs/mine")
     assert read.manifest.status == "complete" and read.table.num_rows == 6 and len(read.edits) == len(EDITS)
@@ -56,7 +48,7 @@ def test_functions_come_and_go_in_a_recording(editor: Watcher, tmp_path: Path, m
 
 
 def test_a_check_of_what_is_not_recorded_is_refused(editor: Watcher, served: Served) -> None:
-    before = served.studio.session.state.runs[0].simulation.scenario
-    editor.say(type="set", overrides=["checks.mine={metric='flux_lmm',at_least=0.5}"])
+    before = served.scenario
+    editor.say("set", overrides=["checks.mine={metric='flux_lmm',at_least=0.5}"])
     assert "flux_lmm" in editor.of("error")[0]["text"]
-    assert served.studio.session.state.runs[0].simulation.scenario == before
+    assert served.scenario == before

@@ -8,13 +8,13 @@ from selenium import webdriver
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webelement import WebElement
-from selenium.webdriver.support.ui import Select, WebDriverWait
+from selenium.webdriver.support.ui import Select
 
-from luxloop.loop.scenario.model import load
+from luxloop import load
 from luxloop.loop.studio.page import PAGE
 from luxloop.loop.studio.session import Source
 from tests.loop.studio.conftest import SMALL, Served, serving
-from tests.loop.studio.pages import IN_BROWSER, WAIT_S, scenario, until, visit
+from tests.loop.studio.pages import IN_BROWSER, one, press, until, until_here, visit
 
 pytestmark = IN_BROWSER
 
@@ -38,7 +38,7 @@ def page(browser: webdriver.Chrome, symbol: Served) -> webdriver.Chrome:
 
 
 def labelled(browser: webdriver.Chrome, label: str) -> WebElement:
-    return browser.find_element(By.CSS_SELECTOR, f"[aria-label='{label}']")
+    return one(browser, f"[aria-label='{label}']")
 
 
 def searched(browser: webdriver.Chrome, words: str, key: str) -> WebElement:
@@ -46,33 +46,33 @@ def searched(browser: webdriver.Chrome, words: str, key: str) -> WebElement:
     labelled(browser, "Search keys").clear()
     labelled(browser, "Search keys").send_keys(words)
     until(browser, f"return document.querySelector('.keys-found [data-key=\"{key}\"]') !== null")
-    return browser.find_element(By.CSS_SELECTOR, f".keys-found [data-key='{key}']")
+    return one(browser, f".keys-found [data-key='{key}']")
 
 
 def test_a_slider_s_gain_reaches_the_controller_at_the_next_step(page: webdriver.Chrome, symbol: Served) -> None:
-    (run,) = symbol.studio.session.state.runs
+    run = symbol.run
     before = run.simulation.symbol.params.position.kp
     slider = labelled(page, "functions.symbol.controller.position.kp, slider")
     slider.send_keys(Keys.ARROW_RIGHT * 5)
     asked = float(slider.get_attribute("value") or "nan")
     assert asked > before
-    WebDriverWait(page, WAIT_S).until(lambda _: run.simulation.symbol.params.position.kp == asked)
+    until_here(lambda: run.simulation.symbol.params.position.kp == asked)
     assert symbol.studio.session.state.runs == (run,) and {each.step for each in run.tally.edits} == {len(run.rows)}
-    back = page.find_element(By.CSS_SELECTOR, "[data-key='functions.symbol.controller.position.kp'] button")
-    WebDriverWait(page, WAIT_S).until(lambda _: back.is_displayed())
+    back = one(page, "[data-key='functions.symbol.controller.position.kp'] button")
+    until_here(lambda: back.is_displayed())
     back.click()
-    WebDriverWait(page, WAIT_S).until(lambda _: run.simulation.symbol.params.position.kp == before)
+    until_here(lambda: run.simulation.symbol.params.position.kp == before)
 
 
 def test_what_is_refused_is_told_beside_its_control_and_changes_nothing(page: webdriver.Chrome, symbol: Served) -> None:
-    before = scenario(symbol)
+    before = symbol.scenario
     row = searched(page, "pixel_controller", "pixel_controller")
     field = row.find_element(By.TAG_NAME, "input")
     field.clear()
     until(page, "return document.querySelector('.keys-found .key-error') !== null")
     field.send_keys(Keys.CONTROL, "a", Keys.NULL, "jpoo", Keys.ENTER)
     until(page, "return document.querySelector('.keys-found .key-error')?.textContent.includes(\"did you mean 'jpo'?\")")
-    assert field.get_attribute("value") == "ssc" and scenario(symbol) == before
+    assert field.get_attribute("value") == "ssc" and symbol.scenario == before
 
 
 def test_a_text_proposes_what_there_is(page: webdriver.Chrome, symbol: Served) -> None:
@@ -88,25 +88,25 @@ def test_a_text_proposes_what_there_is(page: webdriver.Chrome, symbol: Served) -
 
 
 def test_a_function_is_switched_off_and_on_and_its_controller_is_another(page: webdriver.Chrome, symbol: Served) -> None:
-    before = scenario(symbol).functions
+    before = symbol.scenario.functions
     labelled(page, "functions.symbol: on or off").click()
-    WebDriverWait(page, WAIT_S).until(lambda _: not scenario(symbol).functions)
+    until_here(lambda: not symbol.scenario.functions)
     page.execute_script("luxloop.store.set({ things: true })")
     until(page, "return document.querySelector('.thing.off .name')?.textContent === 'symbol'")
     page.execute_script("luxloop.store.set({ things: false })")
     labelled(page, "functions.symbol: on or off").click()
-    WebDriverWait(page, WAIT_S).until(lambda _: scenario(symbol).functions == before)
+    until_here(lambda: symbol.scenario.functions == before)
     Select(labelled(page, "functions.symbol.controller: name")).select_by_value("open")
-    WebDriverWait(page, WAIT_S).until(lambda _: scenario(symbol).symbol.controller.name == "open")
-    page.find_element(By.TAG_NAME, "body").send_keys(Keys.CONTROL, "z")
-    WebDriverWait(page, WAIT_S).until(lambda _: scenario(symbol).functions == before)
+    until_here(lambda: symbol.scenario.symbol.controller.name == "open")
+    press(page, Keys.CONTROL, "z")
+    until_here(lambda: symbol.scenario.functions == before)
 
 
 def test_a_disturbance_holds_from_the_next_step_for_a_second(page: webdriver.Chrome, symbol: Served) -> None:
-    (run,) = symbol.studio.session.state.runs
+    run = symbol.run
     page.find_element(By.XPATH, "//*[@aria-label='Disturb']/button[text()='lost frames']").click()
-    WebDriverWait(page, WAIT_S).until(lambda _: scenario(symbol).disturbances.drops)
-    (spell,) = scenario(symbol).disturbances.drops
+    until_here(lambda: symbol.scenario.disturbances.drops)
+    (spell,) = symbol.scenario.disturbances.drops
     assert (spell.from_step, spell.until_step) == (len(run.rows), len(run.rows) + 30)  # at 30 steps a second
     until(page, "return document.querySelector('.disturb [aria-pressed=true]')?.textContent === 'lost frames'")
 
@@ -116,15 +116,15 @@ def test_the_scenario_is_saved_and_the_run_recorded(
 ) -> None:
     monkeypatch.chdir(tmp_path)  # where the server makes its folder of recordings
     page.execute_script("URL.createObjectURL = (blob) => { blob.text().then((text) => { window.saved = text; }); return '#'; }")
-    page.find_element(By.TAG_NAME, "body").send_keys(Keys.CONTROL, "s")
+    press(page, Keys.CONTROL, "s")
     until(page, "return window.saved")
     (tmp_path / "saved.toml").write_text(page.execute_script("return window.saved"))
-    assert load(str(tmp_path / "saved.toml")) == scenario(symbol)
+    assert load(str(tmp_path / "saved.toml")) == symbol.scenario
     for on in ("true", "false"):
-        page.find_element(By.CSS_SELECTOR, ".record").click()
+        one(page, ".record").click()
         until(page, f"return document.querySelector('.record').ariaPressed === '{on}'")
     (folder,) = (tmp_path / "runs").iterdir()
-    assert page.find_element(By.CSS_SELECTOR, ".toast").text == f"Recorded in runs/{folder.name}"
+    assert one(page, ".toast").text == f"Recorded in runs/{folder.name}"
     assert folder.name.startswith("snowflake_") and (folder / "manifest.json").is_file()
 
 

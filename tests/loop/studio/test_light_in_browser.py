@@ -7,13 +7,12 @@ import pytest
 import torch
 from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
-from selenium.webdriver.common.by import By
 
 from luxloop.controllers.pixels.jpo_plane import lighting
 from luxloop.loop.studio.page import PAGE
 from luxloop.loop.studio.sources import Source
 from tests.loop.studio.conftest import SMALL, Served, serving
-from tests.loop.studio.pages import IN_BROWSER, until, visit
+from tests.loop.studio.pages import IN_BROWSER, one, press, until, visit
 
 pytestmark = IN_BROWSER
 DARK = (*SMALL, "headlight.model=idealised-332x1024", "lighting.base.beam=off", "functions={}", "checks={}", "objects=[]")
@@ -45,13 +44,13 @@ def probed(page: webdriver.Chrome, points: np.ndarray) -> np.ndarray:
 
 
 def test_a_click_lights_the_place_by_the_pixels_that_the_library_names(page: webdriver.Chrome, dark: Served) -> None:
-    canvas = page.find_element(By.CSS_SELECTOR, ".scene canvas")
+    canvas = one(page, ".scene canvas")
     pressed(page, "light")
     ActionChains(page).move_to_element_with_offset(canvas, 12, -30).click().perform()
     until(page, "return luxloop.store.state.light?.type === 'place'")
     point = np.array(page.execute_script("return luxloop.store.state.light.point_m"))
     assert 15 < point[0] < 60
-    run = dark.studio.session.state.runs[0]
+    run = dark.run
     params = run.simulation.scenario.lighting.painted
     assert [each.module for each in params] == ["left matrix", "right matrix"]
     for module, each in zip(run.simulation.modules, params, strict=True):
@@ -69,7 +68,7 @@ def test_the_road_becomes_as_bright_as_is_wanted(page: webdriver.Chrome, dark: S
     pressed(page, "paint it")
     until(page, "return luxloop.store.state.light?.type === 'wish'")
     granted = page.execute_script("return luxloop.store.state.light")
-    told = page.find_element(By.CSS_SELECTOR, ".panel.scene .readout").text
+    told = one(page, ".panel.scene .readout").text
     assert granted["wanted_lx"] == pytest.approx(0.5) and "0.5 lx wanted" in told and "RMSE" in told
     until(page, "return luxloop.store.state.runs[0].utilisations.get(0)?.some((each) => each > 0)")
     rng = np.random.default_rng(0)
@@ -82,9 +81,9 @@ def test_the_road_becomes_as_bright_as_is_wanted(page: webdriver.Chrome, dark: S
 
 
 def test_the_wall_becomes_as_bright_as_is_wanted(page: webdriver.Chrome, dark: Served) -> None:
-    page.find_element(By.TAG_NAME, "body").send_keys("5")
+    press(page, "5")
     pressed(page, "lux")
-    canvas = page.find_element(By.CSS_SELECTOR, ".scene canvas")
+    canvas = one(page, ".scene canvas")
     ActionChains(page).move_to_element_with_offset(canvas, 12, 30).click().perform()
     painted = page.execute_script("return [luxloop.wanted.wall, luxloop.wanted.road].map((each) => each.painted.some((cell) => cell))")
     assert painted == [True, False]
@@ -92,8 +91,8 @@ def test_the_wall_becomes_as_bright_as_is_wanted(page: webdriver.Chrome, dark: S
     page.execute_script("luxloop.wanted.wall.paint(0, 2, 0.6, 20)")
     pressed(page, "paint it")
     until(page, "return luxloop.store.state.light?.type === 'wish' && luxloop.store.state.light.on === 'wall'")
-    (run,) = dark.studio.session.state.runs
+    run = dark.run
     assert len(run.simulation.scenario.lighting.painted) == 2
     granted = page.execute_script("return luxloop.store.state.light")
     assert granted["wanted_lx"] == pytest.approx(20) and granted["rmse_lx"] < 1  # a step of 1 in 255 is 0.6 lx there, of each lamp
-    page.find_element(By.TAG_NAME, "body").send_keys("1")
+    press(page, "1")

@@ -2,16 +2,16 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from luxloop.loop.run import prepare
-from luxloop.loop.scenario.model import load
+from luxloop import load, prepare
 from luxloop.loop.studio.sources import Source
 from luxloop.world.frames import inverse, transform
-from tests.loop.studio.clients import Arrays, Watcher, watching
+from tests.loop.studio.clients import Arrays, Watcher
 from tests.loop.studio.conftest import Served, serving
 
 BARE = ("renderer=raycast", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "steps=40", "functions={}", "checks={}")
@@ -23,12 +23,20 @@ def served(page_folder: Path) -> Iterator[Served]:
     yield from serving(Source("gfhb", (*BARE, f"headlight.model={MODEL}")), page_folder)
 
 
+@pytest.fixture
+def bare(editor: Watcher) -> Watcher:
+    """Where nothing is painted."""
+    editor.set("lighting.painted=[]")
+    return editor
+
+
 def spot(rows: int, cols: int, value: int = 255) -> Arrays:
     return {"value": np.full((rows, cols), value, np.uint8), "painted": np.full((rows, cols), 255, np.uint8)}
 
 
-def paint(watcher: Watcher, box: list[int], over: bool, arrays: Arrays | None = None) -> None:
-    watcher.say(arrays or spot(box[1] - box[0], box[3] - box[2]), type="paint", module=0, box=box, over=over)
+def paint(watcher: Watcher, box: list[int], value: int = 255, **head: Any) -> None:
+    """Rows and columns of the first module, from and to."""
+    watcher.say("paint", spot(box[1] - box[0], box[3] - box[2], value), module=0, box=box, **head)
 
 
 def until_lit(watcher: Watcher, expected: np.ndarray) -> None:
@@ -36,31 +44,29 @@ def until_lit(watcher: Watcher, expected: np.ndarray) -> None:
     watcher.until(lambda head: "u.0" in head.get("arrays", {}) and np.array_equal(watcher.got[-1][1]["u.0"], expected))
 
 
-def test_the_place_that_lights_up_is_that_of_the_pixels(served: Served) -> None:
+def test_the_place_that_lights_up_is_that_of_the_pixels(served: Served, editor: Watcher) -> None:
     """The brightest texel of the light that arrives, cast onto the road, lies where the pixels' own light is brightest."""
     rows, cols = SIZE
     row, col = int(0.8 * rows), int(0.4 * cols)
     box = [row, row + max(1, rows // 40), col, col + max(1, cols // 40)]
-    with watching(served.port, served.tokens.edit) as watcher:
-        watcher.of("scenario")
-        first, before = watcher.of("step")
-        published = served.studio.session.state
-        light = published.runs[0].simulation.modules[0].headlight
-        texture = np.zeros((light.rows, light.cols), np.float32)
-        watcher.say(spot(box[1] - box[0], box[3] - box[2]), type="paint", module=0, box=box, over=False)
-        head, arrays = watcher.until(lambda head: head["type"] == "step" and "0" in head["light_windows"])
-        assert served.studio.session.state.number == published.number  # nothing starts anew
-        u = np.zeros((rows, cols), np.uint8)
-        u[box[0] : box[1], box[2] : box[3]] = 255
-        assert np.array_equal(arrays["u.0"], u)
-        for told, sent in ((first, before), (head, arrays)):
-            top, bottom, left, right = told["light_windows"]["0"]
-            texture[top:bottom, left:right] = sent["light.0"]
-        T = torch.tensor(head["modules"][0]["T_world_module"], dtype=torch.float64).view(4, 4)
-        expected = light.matrix.to_scipy()[:, np.flatnonzero(u)].sum(1).A.reshape(texture.shape)
-        there, wanted = (on_road(T, centre(light, each)) for each in (texture, expected))
-        assert 3 < wanted[0] < 100
-        assert torch.linalg.norm(there - wanted) < 0.02 * wanted[0]  # light is sent as half floats, poses with six digits
+    first, before = editor.of("step")
+    published = served.studio.session.state
+    light = published.runs[0].simulation.modules[0].headlight
+    texture = np.zeros((light.rows, light.cols), np.float32)
+    paint(editor, box, over=False)
+    head, arrays = editor.until(lambda head: head["type"] == "step" and "0" in head["light_windows"])
+    assert served.studio.session.state.number == published.number  # nothing starts anew
+    u = np.zeros((rows, cols), np.uint8)
+    u[box[0] : box[1], box[2] : box[3]] = 255
+    assert np.array_equal(arrays["u.0"], u)
+    for told, sent in ((first, before), (head, arrays)):
+        top, bottom, left, right = told["light_windows"]["0"]
+        texture[top:bottom, left:right] = sent["light.0"]
+    T = torch.tensor(head["modules"][0]["T_world_module"], dtype=torch.float64).view(4, 4)
+    expected = light.matrix.to_scipy()[:, np.flatnonzero(u)].sum(1).A.reshape(texture.shape)
+    there, wanted = (on_road(T, centre(light, each)) for each in (texture, expected))
+    assert 3 < wanted[0] < 100
+    assert torch.linalg.norm(there - wanted) < 0.02 * wanted[0]  # light is sent as half floats, poses with six digits
 
 
 def centre(light: object, texture: np.ndarray) -> tuple[float, float]:
@@ -76,79 +82,62 @@ def on_road(T_world_module: torch.Tensor, tangents: tuple[float, float]) -> torc
     return origin + (tip - origin) * origin[2] / (origin[2] - tip[2])
 
 
-def test_boxes_add_up_and_what_is_rubbed_out_is_as_before(served: Served) -> None:
+def test_boxes_add_up_and_what_is_rubbed_out_is_as_before(served: Served, bare: Watcher) -> None:
     _, cols = SIZE
-    with watching(served.port, served.tokens.edit) as watcher:
-        watcher.of("scenario")
-        watcher.say(type="set", overrides=["lighting.painted=[]"])
-        watcher.of("edit")
-        watcher.say(type="reset")
-        watcher.of("scenario")
-        before = watcher.of("step", step=0)[1]["u.0"]
-        paint(watcher, [0, 1, 0, 5], True, spot(1, 5, 100))
-        paint(watcher, [1, 3, 2, 4], True, spot(2, 2, 7))
-        expected = before.copy()
-        expected[0, :5], expected[1:3, 2:4] = 100, 7
-        until_lit(watcher, expected)
-        nothing = {"value": np.full((2, cols), 9, np.uint8), "painted": np.zeros((2, cols), np.uint8)}
-        paint(watcher, [0, 2, 0, cols], True, nothing)
-        expected[:2] = before[:2]
-        until_lit(watcher, expected)
-        published = served.studio.session.state
-        params = published.runs[0].simulation.scenario.lighting.painted[0]
-        assert params.module == "left matrix" and np.array_equal(params.pictures[1][2], np.where(np.arange(cols) // 2 == 1, 255, 0))
-        (override,) = published.runs[0].tally.edits[-1].overrides
-        again = prepare(load("gfhb", [*BARE, f"headlight.model={MODEL}", override]), "cpu")
-        watcher.say(type="step")
-        watcher.of("step", step=1)
-        assert again.at(1).lights[0].equal(published.runs[0].snapshots[1].lights[0])
+    bare.reset()
+    before = bare.of("step", step=0)[1]["u.0"]
+    paint(bare, [0, 1, 0, 5], 100, over=True)
+    paint(bare, [1, 3, 2, 4], 7, over=True)
+    expected = before.copy()
+    expected[0, :5], expected[1:3, 2:4] = 100, 7
+    until_lit(bare, expected)
+    nothing = {"value": np.full((2, cols), 9, np.uint8), "painted": np.zeros((2, cols), np.uint8)}
+    bare.say("paint", nothing, module=0, box=[0, 2, 0, cols], over=True)
+    expected[:2] = before[:2]
+    until_lit(bare, expected)
+    published = served.studio.session.state
+    params = published.runs[0].simulation.scenario.lighting.painted[0]
+    assert params.module == "left matrix" and np.array_equal(params.pictures[1][2], np.where(np.arange(cols) // 2 == 1, 255, 0))
+    (override,) = published.runs[0].tally.edits[-1].overrides
+    again = prepare(load("gfhb", [*BARE, f"headlight.model={MODEL}", override]), "cpu")
+    bare.step(1)
+    assert again.at(1).lights[0].equal(published.runs[0].snapshots[1].lights[0])
 
 
-def test_strokes_are_taken_back_and_saved(served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_strokes_are_taken_back_and_saved(served: Served, bare: Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("luxloop.loop.studio.session.TOGETHER_S", 0.0)  # a stroke may rest while it is drawn
     expected = np.zeros(SIZE, np.uint8)
     expected[2, 0:4] = 255
     first = expected.copy()
     expected[0:2, 3:6] = 255
-    with watching(served.port, served.tokens.edit) as watcher:
-        watcher.of("scenario")
-        watcher.say(type="set", overrides=["lighting.painted=[]"])
-        watcher.of("edit")
-        for stroke, box in ((1, [2, 3, 0, 4]), (2, [0, 1, 3, 6]), (2, [0, 2, 3, 6])):
-            watcher.say(spot(box[1] - box[0], box[3] - box[2]), type="paint", stroke=stroke, module=0, box=box, over=False)
-        until_lit(watcher, expected)
-        run = served.studio.session.state.runs[0]
-        watcher.say(type="save")
-        (tmp_path / "mine.toml").write_text(watcher.of("saved")[0]["text"])
-        saved = load(str(tmp_path / "mine.toml"))
-        assert saved.lighting.painted == run.simulation.scenario.lighting.painted
-        assert np.array_equal(255 * prepare(saved, "cpu").at(0).lights[0], expected.ravel())
-        for way, light in (("undo", first), ("redo", expected)):
-            watcher.say(type=way)
-            until_lit(watcher, light)
+    for stroke, box in ((1, [2, 3, 0, 4]), (2, [0, 1, 3, 6]), (2, [0, 2, 3, 6])):
+        paint(bare, box, stroke=stroke, over=False)
+    until_lit(bare, expected)
+    run = served.run
+    bare.say("save")
+    (tmp_path / "mine.toml").write_text(bare.of("saved")[0]["text"])
+    saved = load(str(tmp_path / "mine.toml"))
+    assert saved.lighting.painted == run.simulation.scenario.lighting.painted
+    assert np.array_equal(255 * prepare(saved, "cpu").at(0).lights[0], expected.ravel())
+    for way, light in (("undo", first), ("redo", expected)):
+        bare.say(way)
+        until_lit(bare, light)
 
 
-@pytest.mark.parametrize(
-    ("changes", "told"),
-    [
-        ({"module": 9}, "no module 9"),
-        ({"box": [0, 4, 0, 99999]}, "not within"),
-        ({"box": [1, 1, 0, 5]}, "not within"),
-        ({"box": [0, 2, 0, 4]}, "2 x 4 pixels"),
-    ],
-)
-def test_what_does_not_fit_changes_nothing(served: Served, changes: dict, told: str) -> None:
-    with watching(served.port, served.tokens.edit) as watcher:
-        watcher.of("scenario")
-        before = served.studio.session.state.runs[0].simulation.scenario
-        watcher.say(spot(1, 5), **{"type": "paint", "module": 0, "box": [0, 1, 0, 5], "over": True} | changes)
-        assert told in watcher.of("error", about="paint")[0]["text"]
-        assert served.studio.session.state.runs[0].simulation.scenario == before
+def test_what_does_not_fit_changes_nothing(served: Served, editor: Watcher) -> None:
+    before = served.scenario
+    for module, box, words in (
+        *((9, [0, 1, 0, 5], "no module 9"), (0, [0, 4, 0, 99999], "not within")),
+        *((0, [1, 1, 0, 5], "not within"), (0, [0, 2, 0, 4], "2 x 4 pixels")),
+    ):
+        editor.say("paint", spot(1, 5), module=module, box=box, over=True)
+        assert words in editor.of("error", about="paint")[0]["text"]
+    assert served.scenario == before
 
 
 def lit(served: Served, point: list[float], module: int = 0) -> float:
     """Illuminance in lx, of what faces the lamp, at a point of the world by the light that a module shows last."""
-    run = served.studio.session.state.runs[0]
+    run = served.run
     shown, light = run.snapshots[-1], run.simulation.modules[module].headlight
     T = torch.tensor(shown.head["modules"][module]["T_world_module"], dtype=torch.float64).view(4, 4)
     there = torch.tensor(point, dtype=torch.float64)[:, None]
@@ -156,65 +145,53 @@ def lit(served: Served, point: list[float], module: int = 0) -> float:
     return float(intensity) / float((there - T[:3, 3:]).square().sum())
 
 
-def test_a_place_of_the_world_is_lit_by_the_pixels_that_are_named(served: Served) -> None:
-    with watching(served.port, served.tokens.edit) as watcher:
-        watcher.of("scenario")
-        watcher.say(type="set", overrides=["lighting.painted=[]"])
-        watcher.of("edit")
-        point = [25.0, 1.0, 0.0]
-        watcher.say(type="place", point_m=point)
-        head, _ = watcher.of("place")
-        assert [each["module"] for each in head["modules"]] == [0, 1] and head["point_m"] == point
-        assert not served.studio.session.state.runs[0].simulation.scenario.lighting.painted
-        for value, share in ((0, 0.5), (255, 1.0)):  # the pixels that are not named give less than half of the light
-            watcher.say(type="place", point_m=point, value=value)
-            head, _ = watcher.of("place")
-            most = head["modules"][0]["cd"] / (25**2 + 0.4**2 + 0.75**2)
-            assert value / 255 * 0.99 * most <= lit(served, point) <= share * 2 * most
-        watcher.say(type="place", point_m=[-40.0, 0.0, 0.0], value=255)
-        assert watcher.of("place")[0]["modules"] == []
+def test_a_place_of_the_world_is_lit_by_the_pixels_that_are_named(served: Served, bare: Watcher) -> None:
+    point = [25.0, 1.0, 0.0]
+    bare.say("place", point_m=point)
+    head, _ = bare.of("place")
+    assert [each["module"] for each in head["modules"]] == [0, 1] and head["point_m"] == point
+    assert not served.scenario.lighting.painted
+    for value, share in ((0, 0.5), (255, 1.0)):  # the pixels that are not named give less than half of the light
+        bare.say("place", point_m=point, value=value)
+        head, _ = bare.of("place")
+        most = head["modules"][0]["cd"] / (25**2 + 0.4**2 + 0.75**2)
+        assert value / 255 * 0.99 * most <= lit(served, point) <= share * 2 * most
+    bare.say("place", point_m=[-40.0, 0.0, 0.0], value=255)
+    assert bare.of("place")[0]["modules"] == []
 
 
-def test_light_wanted_on_the_wall_is_painted(served: Served) -> None:
+def test_light_wanted_on_the_wall_is_painted(served: Served, bare: Watcher) -> None:
     raster = {"lx": np.zeros((70, 240), np.float32), "painted": np.zeros((70, 240), np.uint8)}
     raster["lx"][30:40, 115:125] = 2  # half a metre above and below the ground, and to both sides
     raster["painted"][30:40, 115:125] = 1
-    with watching(served.port, served.tokens.edit) as watcher:
-        watcher.of("scenario")
-        watcher.say(type="set", overrides=["lighting.painted=[]"])
-        watcher.of("edit")
-        watcher.say(raster, type="wish", on="wall", box_m=[-3.5, 3.5, -12, 12])
-        head, _ = watcher.of("wish")
-        assert head["on"] == "wall" and head["wanted_lx"] == 2 and head["pixels"] > 0
-        points = np.random.default_rng(0).uniform(-0.45, 0.45, (200, 2))
-        there = np.mean([sum(lit(served, [25.0, *point], module) for module in (0, 1)) for point in points])
-        assert abs(there - 2) <= head["rmse_lx"] + 0.5  # 200 points of a pattern of dark and lit pixels, facing a lamp and not the car
-        assert head["rmse_lx"] < 0.5  # a step of 1 in 255 is 0.6 lx there, of each lamp
-        watcher.say(raster, type="wish", on="ceiling", box_m=[-3.5, 3.5, -12, 12])
-        assert "'road' or 'wall'" in watcher.of("error")[0]["text"]
+    bare.say("wish", raster, on="wall", box_m=[-3.5, 3.5, -12, 12])
+    head, _ = bare.of("wish")
+    assert head["on"] == "wall" and head["wanted_lx"] == 2 and head["pixels"] > 0
+    points = np.random.default_rng(0).uniform(-0.45, 0.45, (200, 2))
+    there = np.mean([sum(lit(served, [25.0, *point], module) for module in (0, 1)) for point in points])
+    assert abs(there - 2) <= head["rmse_lx"] + 0.5  # 200 points of a pattern of dark and lit pixels, facing a lamp and not the car
+    assert head["rmse_lx"] < 0.5  # a step of 1 in 255 is 0.6 lx there, of each lamp
+    bare.say("wish", raster, on="ceiling", box_m=[-3.5, 3.5, -12, 12])
+    assert "'road' or 'wall'" in bare.of("error")[0]["text"]
 
 
-def test_light_wanted_on_the_road_is_painted_on_all_modules_together(served: Served) -> None:
+def test_light_wanted_on_the_road_is_painted_on_all_modules_together(served: Served, bare: Watcher) -> None:
     raster = {"lx": np.zeros((60, 20), np.float32), "painted": np.zeros((60, 20), np.uint8)}
     raster["lx"][24:36, 7:13] = raster["painted"][24:36, 7:13] = 1
-    with watching(served.port, served.tokens.edit) as watcher:
-        watcher.of("scenario")
-        watcher.say(type="set", overrides=["lighting.painted=[]"])
-        watcher.of("edit")
-        watcher.say(raster, type="wish", box_m=[0, 60, -10, 10])
-        head, _ = watcher.of("wish")
-        assert head["wanted_lx"] == 1 and 0 <= head["rmse_lx"] <= head["worst_lx"]
-        assert head["worst_lx"] < 0.2
-        painted = served.studio.session.state.runs[0].simulation.scenario.lighting.painted
-        assert [each.module for each in painted] == ["left matrix", "right matrix"]
-        assert sum(int((each.pictures[1] > 0).sum()) for each in painted) == head["pixels"]
-        for arrays, box, told in (
-            ({"lx": np.zeros((2, 3), np.float32), "painted": np.ones((3, 2), np.uint8)}, [0, 60, -10, 10], "shapes"),
-            ({"lx": np.zeros((300, 300), np.float32), "painted": np.ones((300, 300), np.uint8)}, [0, 60, -10, 10], "20000 cells"),
-            (raster | {"painted": np.zeros((60, 20), np.uint8)}, [0, 60, -10, 10], "nothing is painted"),
-            (raster | {"lx": np.full((60, 20), np.nan, np.float32)}, [0, 60, -10, 10], "between 0 and"),
-            (raster, [60, 0, -10, 10], "empty"),
-            (raster, [-60, -10, -10, 10], "no pixel lights"),
-        ):
-            watcher.say(arrays, type="wish", box_m=box)
-            assert told in watcher.of("error", about="wish")[0]["text"]
+    bare.say("wish", raster, box_m=[0, 60, -10, 10])
+    head, _ = bare.of("wish")
+    assert head["wanted_lx"] == 1 and 0 <= head["rmse_lx"] <= head["worst_lx"]
+    assert head["worst_lx"] < 0.2
+    painted = served.scenario.lighting.painted
+    assert [each.module for each in painted] == ["left matrix", "right matrix"]
+    assert sum(int((each.pictures[1] > 0).sum()) for each in painted) == head["pixels"]
+    for arrays, box, told in (
+        ({"lx": np.zeros((2, 3), np.float32), "painted": np.ones((3, 2), np.uint8)}, [0, 60, -10, 10], "shapes"),
+        ({"lx": np.zeros((300, 300), np.float32), "painted": np.ones((300, 300), np.uint8)}, [0, 60, -10, 10], "20000 cells"),
+        (raster | {"painted": np.zeros((60, 20), np.uint8)}, [0, 60, -10, 10], "nothing is painted"),
+        (raster | {"lx": np.full((60, 20), np.nan, np.float32)}, [0, 60, -10, 10], "between 0 and"),
+        (raster, [60, 0, -10, 10], "empty"),
+        (raster, [-60, -10, -10, 10], "no pixel lights"),
+    ):
+        bare.say("wish", arrays, box_m=box)
+        assert told in bare.of("error", about="wish")[0]["text"]

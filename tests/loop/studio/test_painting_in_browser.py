@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
-from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
@@ -18,7 +17,7 @@ from luxloop.loop.studio.session import Source
 from luxloop.world.lamps.utilisations import read_utilisation
 from tests.loop.studio.clients import watching
 from tests.loop.studio.conftest import SMALL, Served, serving
-from tests.loop.studio.pages import IN_BROWSER, until, visit
+from tests.loop.studio.pages import IN_BROWSER, one, until, visit
 
 pytestmark = IN_BROWSER
 ROWS, COLUMNS = 3, 28
@@ -45,7 +44,7 @@ def page(tools: webdriver.Chrome, plain: Served) -> webdriver.Chrome:
     """With nothing painted."""
     clicked(tools, "clear")
     until(tools, "return luxloop.store.state.model.lighting.painted.length === 0")
-    (run,) = plain.studio.session.state.runs
+    run = plain.run
 
     def shows_it(page: webdriver.Chrome) -> bool:
         """The last snapshot is replaced after the edit was answered, so it is read at each try."""
@@ -62,7 +61,7 @@ def clicked(page: webdriver.Chrome, text: str) -> None:
 
 def drawn(page: webdriver.Chrome, *pixels: tuple[int, int]) -> None:
     """A stroke of the mouse over pixels of the left module: row and column each."""
-    canvas = page.find_element(By.CSS_SELECTOR, ".matrix canvas")
+    canvas = one(page, ".matrix canvas")
     places = [page.execute_script("return luxloop.pixelAt(0, ...arguments)", *pixel) for pixel in pixels]
     width, height = canvas.size["width"], canvas.size["height"]
     actions = ActionChains(page, duration=20)
@@ -84,7 +83,7 @@ def is_lit(page: webdriver.Chrome, served: Served, expected: np.ndarray) -> None
 
     def agree(page: webdriver.Chrome) -> bool:
         painted, value = (np.array(each, np.uint8).reshape(ROWS, COLUMNS) for each in page.execute_script(MARKED))
-        params = served.studio.session.state.runs[0].simulation.scenario.lighting.painted
+        params = served.scenario.lighting.painted
         (left,) = (each for each in params if each.module == "left matrix")
         return np.array_equal(left.pictures[1], painted) and np.array_equal(left.pictures[0] * (painted > 0), value)
 
@@ -143,7 +142,7 @@ def test_files_are_taken_where_they_fit_and_saved_as_shown(page: webdriver.Chrom
     picture = np.random.default_rng(0).integers(0, 256, (ROWS, COLUMNS)).astype(np.uint8)
     cv2.imwrite(str(tmp_path / "mine.png"), picture)
     np.savetxt(tmp_path / "wrong.csv", np.zeros((4, COLUMNS)), delimiter=",")
-    file = page.find_element(By.CSS_SELECTOR, ".paint-tools input[type=file]")
+    file = one(page, ".paint-tools input[type=file]")
     file.send_keys(str(tmp_path / "wrong.csv"))
     until(page, "return document.body.innerText.includes('wrong.csv: has 4 x 28 pixels, but left matrix has 3 x 28')")
     file.send_keys(str(tmp_path / "mine.png"))
@@ -172,7 +171,7 @@ def test_what_another_client_paints_is_shown(page: webdriver.Chrome, plain: Serv
     before[1, 1] = 255
     is_lit(page, plain, before)
     with watching(plain.port, plain.tokens.edit) as other:
-        other.say(type="pen")
+        other.say("pen")
         spot = {"value": np.full((1, 2), 77, np.uint8), "painted": np.full((1, 2), 255, np.uint8)}
-        other.say(spot, type="paint", module=0, box=[2, 3, 5, 7])
+        other.say("paint", spot, module=0, box=[2, 3, 5, 7])
         until(page, "return luxloop.store.state.runs[0].utilisations.get(0)[2 * 28 + 6] === 77")

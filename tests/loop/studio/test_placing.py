@@ -9,13 +9,13 @@ from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
-from selenium.webdriver.support.ui import Select, WebDriverWait
+from selenium.webdriver.support.ui import Select
 
-from luxloop.loop.scenario.model import Scenario
+from luxloop import Scenario
 from luxloop.loop.studio.page import PAGE
 from luxloop.loop.studio.session import Source
 from tests.loop.studio.conftest import SMALL, Served, serving
-from tests.loop.studio.pages import IN_BROWSER, WAIT_S, scenario, until, visit
+from tests.loop.studio.pages import IN_BROWSER, one, press, until, until_here, visit
 
 pytestmark = IN_BROWSER
 CARPET = 'functions.carpet={kind = "primitive", x_m = 12.0, width_m = 4.0, length_m = 8.0}'
@@ -54,21 +54,20 @@ def plain() -> Iterator[Served]:
 @pytest.fixture
 def page(browser: webdriver.Chrome, plain: Served) -> webdriver.Chrome:
     visit(browser, plain)
-    body = browser.find_element(By.TAG_NAME, "body")
-    body.send_keys("e")
+    press(browser, "e")
     until(browser, "return luxloop.scenes[0].pick(150, 200) !== null && luxloop.placing.things.length > 2")
     until(browser, "return !document.querySelector('aside.things').hidden")
     return browser
 
 
 def chosen(page: webdriver.Chrome, key: str) -> None:
-    page.find_element(By.CSS_SELECTOR, f'.things-list [data-key="{key}"]').click()
+    one(page, f'.things-list [data-key="{key}"]').click()
     until(page, f"return luxloop.store.state.chosen.join() === '{key}'")
 
 
 def dragged(page: webdriver.Chrome, start: tuple[float, float], by: tuple[int, int]) -> np.ndarray:
     """Drag with the left button from one pixel of the scene's canvas to another; returns both, which are whole."""
-    canvas = page.find_element(By.CSS_SELECTOR, ".scene-view canvas")
+    canvas = one(page, ".scene-view canvas")
     middle = canvas.size["width"] // 2, canvas.size["height"] // 2
     first = round(start[0]), round(start[1])
     last = first[0] + by[0], first[1] + by[1]
@@ -84,7 +83,7 @@ def dragged(page: webdriver.Chrome, start: tuple[float, float], by: tuple[int, i
 
 
 def clicked(page: webdriver.Chrome, x: int, y: int) -> None:
-    canvas = page.find_element(By.CSS_SELECTOR, ".scene-view canvas")
+    canvas = one(page, ".scene-view canvas")
     ActionChains(page).move_to_element_with_offset(canvas, x - canvas.size["width"] // 2, y - canvas.size["height"] // 2).click().perform()
 
 
@@ -94,16 +93,16 @@ def picked(page: webdriver.Chrome, pixel: Any) -> np.ndarray:
 
 
 def waited(served: Served, fits: Callable[[Scenario], bool]) -> Scenario:
-    WebDriverWait(served, WAIT_S, 0.1).until(lambda each: fits(scenario(each)))
-    return scenario(served)
+    until_here(lambda: fits(served.scenario))
+    return served.scenario
 
 
 def test_an_arrow_of_the_gizmo_moves_a_primitive_along_its_axis(page: webdriver.Chrome, plain: Served) -> None:
-    before = scenario(plain).functions["carpet"]
+    before = plain.scenario.functions["carpet"]
     chosen(page, "functions.carpet")
     start = page.execute_script(HANDLE, "translate", "Y")
     dragged(page, start, (-40, 0))
-    after = scenario(plain).functions["carpet"]
+    after = plain.scenario.functions["carpet"]
     assert after.y_m > before.y_m + 0.5 and after.model_copy(update={"y_m": before.y_m}) == before
     assert page.execute_script(PIVOT) == pytest.approx([after.x_m, after.y_m, after.z_m], abs=FINE_M)
     end = page.execute_script(HANDLE, "translate", "Y")
@@ -111,12 +110,12 @@ def test_an_arrow_of_the_gizmo_moves_a_primitive_along_its_axis(page: webdriver.
 
 
 def test_what_is_chosen_is_dragged_over_the_road(page: webdriver.Chrome, plain: Served) -> None:
-    before = scenario(plain).functions["carpet"]
+    before = plain.scenario.functions["carpet"]
     chosen(page, "functions.carpet")
     x, y = page.execute_script(PLACE, "functions.carpet", *CORNER)
     pixels = dragged(page, (x, y), (30, 12))
     by = picked(page, pixels[1]) - picked(page, pixels[0])
-    after = scenario(plain).functions["carpet"]
+    after = plain.scenario.functions["carpet"]
     assert np.hypot(*by[:2]) > 0.5
     assert [after.x_m - before.x_m, after.y_m - before.y_m] == pytest.approx(by[:2], abs=FINE_M)
 
@@ -124,21 +123,21 @@ def test_what_is_chosen_is_dragged_over_the_road(page: webdriver.Chrome, plain: 
 @pytest.mark.slow
 def test_handles_turn_and_scale_about_the_middle(page: webdriver.Chrome, plain: Served) -> None:
     chosen(page, "functions.carpet")
-    before = scenario(plain).functions["carpet"]
-    page.find_element(By.TAG_NAME, "body").send_keys("b")
+    before = plain.scenario.functions["carpet"]
+    press(page, "b")
     width = page.execute_script(HANDLE, "scale", "Y")
     middle = page.execute_script(PLACE, "functions.carpet", 0, 0, 0)
     dragged(page, width, (round(0.5 * (width[0] - middle[0])), 0))
-    scaled = scenario(plain).functions["carpet"]
+    scaled = plain.scenario.functions["carpet"]
     assert scaled.width_m / before.width_m == pytest.approx(1.5, abs=0.05)  # pixels are whole, and the handle is 25 px away
     assert scaled.model_copy(update={"width_m": before.width_m}) == before
-    page.find_element(By.TAG_NAME, "body").send_keys("t")
+    press(page, "t")
     ring = page.execute_script(RING, "Z")
     dragged(page, ring, (20, 10))
-    turned = scenario(plain).functions["carpet"]
+    turned = plain.scenario.functions["carpet"]
     assert abs(turned.yaw_deg - before.yaw_deg) > 2
     assert turned.model_copy(update={"yaw_deg": scaled.yaw_deg}) == scaled
-    page.find_element(By.TAG_NAME, "body").send_keys("g")
+    press(page, "g")
 
 
 @pytest.mark.slow
@@ -146,7 +145,7 @@ def test_what_is_chosen_together_moves_together(page: webdriver.Chrome, plain: S
     chosen(page, "functions.carpet")
     page.execute_script("luxloop.placing.choose('objects[0]', true)")
     until(page, "return luxloop.placing.chosen.length === 2")
-    before = scenario(plain)
+    before = plain.scenario
     dragged(page, page.execute_script(HANDLE, "translate", "Y"), (-30, 0))
     after = waited(plain, lambda now: now.objects != before.objects)
     by_m = after.functions["carpet"].y_m - before.functions["carpet"].y_m
@@ -171,46 +170,46 @@ def test_an_object_is_dragged_and_prepared_anew_where_it_was_let_go(page: webdri
 
 
 def test_a_click_on_the_road_places_a_primitive_and_delete_removes_it(page: webdriver.Chrome, plain: Served) -> None:
-    Select(page.find_element(By.CSS_SELECTOR, ".things [aria-label=Add]")).select_by_visible_text("primitive on the road")
+    Select(one(page, ".things [aria-label=Add]")).select_by_visible_text("primitive on the road")
     until(page, "return luxloop.placing.clicking !== null")
     pixel = (150, 200)
     expected = picked(page, pixel)
     clicked(page, *pixel)
     until(page, "return luxloop.placing.chosen.some(({ key }) => key === 'functions.primitive')")
-    made = scenario(plain).functions["primitive"]
+    made = plain.scenario.functions["primitive"]
     assert [made.x_m, made.y_m, made.z_m] == pytest.approx(expected, abs=FINE_M)
-    page.find_element(By.TAG_NAME, "body").send_keys(Keys.DELETE)
+    press(page, Keys.DELETE)
     assert waited(plain, lambda now: "primitive" not in now.functions).functions.keys() == {"carpet"}
 
 
 @pytest.mark.slow
 def test_an_object_is_duplicated_switched_off_and_on_and_removed(page: webdriver.Chrome, plain: Served) -> None:
     chosen(page, "objects[0]")
-    page.find_element(By.TAG_NAME, "body").send_keys("D")
+    press(page, "D")
     both = waited(plain, lambda now: len(now.objects) == 2).objects
     assert both[1].name == "wall_2" and both[1].track[0].position_m[1] == pytest.approx(both[0].track[0].position_m[1] + 1)
     until(page, "return luxloop.placing.chosen[0]?.key === 'objects[1]'")
     page.find_element(By.XPATH, "//button[text()='Switch off']").click()
     assert waited(plain, lambda now: len(now.objects) == 1).objects == both[:1]
     until(page, "return document.querySelector('.thing.off') !== null")
-    page.find_element(By.CSS_SELECTOR, ".thing.off").click()
+    one(page, ".thing.off").click()
     assert waited(plain, lambda now: len(now.objects) == 2).objects == both
     until(page, "return luxloop.placing.chosen[0]?.key === 'objects[1]'")
-    page.find_element(By.TAG_NAME, "body").send_keys(Keys.DELETE)
+    press(page, Keys.DELETE)
     assert waited(plain, lambda now: len(now.objects) == 1).objects == both[:1]
 
 
 @pytest.mark.slow
 def test_an_object_goes_a_course_of_clicked_points_and_halts(page: webdriver.Chrome, plain: Served) -> None:
     chosen(page, "objects[0]")
-    start = scenario(plain).objects[0].track[0].position_m
+    start = plain.scenario.objects[0].track[0].position_m
     page.find_element(By.XPATH, "//button[text()='Course']").click()
     until(page, "return luxloop.placing.clicking !== null")
     pixels = [(150, 200), (180, 190)]
     points = [picked(page, pixel) for pixel in pixels]
     for pixel in pixels:
         clicked(page, *pixel)
-    page.find_element(By.TAG_NAME, "body").send_keys(Keys.ENTER)
+    press(page, Keys.ENTER)
     path = waited(plain, lambda now: now.objects[0].path is not None).objects[0].path
     assert path is not None and np.array(path.points_m) == pytest.approx(np.array([start, *points]), abs=FINE_M)
     until(page, "return !luxloop.store.state.edits_pending")
@@ -221,11 +220,11 @@ def test_an_object_goes_a_course_of_clicked_points_and_halts(page: webdriver.Chr
 
 def test_a_watcher_can_choose_and_not_drag(browser: webdriver.Chrome, plain: Served) -> None:
     visit(browser, plain, plain.tokens.watch)
-    browser.find_element(By.TAG_NAME, "body").send_keys("e")
-    before = scenario(plain)
+    press(browser, "e")
+    before = plain.scenario
     chosen(browser, "functions.carpet")
     assert browser.execute_script("return luxloop.placing.gizmo.control.object === undefined")
     x, y = browser.execute_script(PLACE, "functions.carpet", *CORNER)
     dragged(browser, (x, y), (30, 12))
-    browser.find_element(By.TAG_NAME, "body").send_keys(Keys.DELETE)
-    assert scenario(plain) == before
+    press(browser, Keys.DELETE)
+    assert plain.scenario == before

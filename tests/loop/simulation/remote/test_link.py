@@ -16,8 +16,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.uri import parse_uri
 
-from luxloop.loop.run import prepare
-from luxloop.loop.scenario.model import validate
+from luxloop import prepare, validate
 from luxloop.loop.simulation.remote import Link
 from luxloop.world.messages import raw
 from tests.loop.conftest import SMALL

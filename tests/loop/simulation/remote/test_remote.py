@@ -13,10 +13,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from luxloop.loop.run import RunResult, run
-from luxloop.loop.scenario.model import validate
+from luxloop import RunResult, run, validate
 from tests.lamps import SMALL_LAMP
-from tests.loop.conftest import SMALL
+from tests.loop.conftest import SMALL, toml
 from tests.loop.simulation.remote.conftest import free_port
 
 ROOT = Path(__file__).parents[4]
@@ -27,11 +26,11 @@ DRIVES: dict[str, Any] = {
     "steps": 4,
     "headlight": {"model": SMALL_LAMP},
     "functions": {
-        "symbol": SMALL["functions"]["symbol"] | {"controller": {"name": "luxloop"}, "modules": ["left"]},
-        "dimmed": {"kind": "command", "modules": ["right"], "intensity": 0.5},
-        "patch": {"kind": "primitive", "modules": ["right"], "x_m": 20.0},
+        "symbol": SMALL["functions"]["symbol"] | toml("{ controller.name = 'luxloop', modules = ['left'] }"),
+        "dimmed": toml("{ kind = 'command', modules = ['right'], intensity = 0.5 }"),
+        "patch": toml("{ kind = 'primitive', modules = ['right'], x_m = 20.0 }"),
     },
-    "vehicle": {"course": [{"speed_m_s": 10.0, "curvature_1_m": 0.01}]},
+    "vehicle": toml("{ course = [{ speed_m_s = 10.0, curvature_1_m = 0.01 }] }"),
     "road": {"kind": "bumps"},
     "sensors": {"gyro": {"rate_hz": 100}},
     "camera": SMALL["camera"] | {"latency_spread_steps": 1, "drop_probability": 0.2},
@@ -41,7 +40,7 @@ MASKS: dict[str, Any] = {
     "steps": 5,
     "headlight": {"model": "ssl-hd-lores", "lamps": ["left"]},
     "lighting": {"base": {"beam": "full"}},
-    "functions": {"mask": {"kind": "glare_free", "categories": ["pedestrian"], "fade_out_s": 0.2}},
+    "functions": toml("{ mask = { kind = 'glare_free', categories = ['pedestrian'], fade_out_s = 0.2 } }"),
 }
 
 
@@ -107,7 +106,7 @@ def test_objects_that_it_tells_of_are_masked_and_recorded_and_played_again(tmp_p
 def test_the_game_engine_of_the_examples_closes_the_loop(tmp_path: Path) -> None:
     """It drives by its own, while its body pitches by 0.23 deg, which moves light at 17 m by a metre; a pixel is 11 cm there."""
     address = f"127.0.0.1:{free_port()}"
-    camera = {"width_px": 640, "height_px": 360, "bits": 8, "gamma": 2.2}
+    camera = toml("{ width_px = 640, height_px = 360, bits = 8, gamma = 2.2 }")
     plant = {"kind": "remote", "address": address, "sends": "texture", "timeout_s": 60}
     scenario = validate({**SMALL, "steps": 16, "camera": camera, "plant": plant}, "engine")
     with process(ENGINE, f"ws://{address}") as engine:

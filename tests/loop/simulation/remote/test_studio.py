@@ -8,8 +8,8 @@ import numpy as np
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
+from luxloop import validate
 from luxloop.loop.scenario.edits import with_overrides
-from luxloop.loop.scenario.model import validate
 from luxloop.loop.studio.messages import VIEWS
 from luxloop.loop.studio.runs import start
 from luxloop.loop.studio.sources import Source

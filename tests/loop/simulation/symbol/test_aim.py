@@ -3,10 +3,10 @@
 import pytest
 import torch
 
+from luxloop import load
 from luxloop.controllers.symbol.sensing.field import aim, elsewhere
 from luxloop.controllers.symbol.sensing.projector import Projector, SymbolParams
 from luxloop.controllers.symbol.sensing.road_shape import HERE, height
-from luxloop.loop.scenario.model import load
 from luxloop.world.frames import inverse, transform
 from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import simulation_of

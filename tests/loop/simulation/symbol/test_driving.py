@@ -6,18 +6,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.controllers.symbol.sensing.protocol import Observation
-from luxloop.loop.scenario.model import Scenario, validate
+from luxloop import Ego, Observation, ProjectionCommand, Scenario, Simulation, validate
 from luxloop.loop.simulation.result import StepResult
-from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.egomotion import Ego
 from luxloop.world.frames import inverse, transform
-from tests.loop.conftest import SMALL, simulation_of
+from tests.loop.conftest import SMALL, simulation_of, toml
 
-SYMBOL = SMALL["functions"]["symbol"] | {"controller": {"name": "open"}, "start": {}}
+SYMBOL = SMALL["functions"]["symbol"] | toml("{ controller.name = 'open', start = {} }")
 OPEN = {"functions": {"symbol": SYMBOL}, "steps": 3, "renderer": "auto"}
-LATE = {"wheels": {"delay_s": 0.03, "scale": 1.1}, "gyro": {"delay_s": 0.03}, "attitude": {"delay_s": 0.03}}  # a step of 33 ms
+LATE = toml("{ wheels = { delay_s = 0.03, scale = 1.1 }, gyro.delay_s = 0.03, attitude.delay_s = 0.03 }")  # a step of 33 ms
 PITCH_DEG, RATE_HZ = 0.3, 7.5  # down at the second step, up at the fourth
 
 

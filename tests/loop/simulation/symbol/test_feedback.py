@@ -1,10 +1,12 @@
 """Gauss-Newton, model reference and feed-forward in a small closed loop."""
 
+from itertools import islice
+
 import pytest
 import torch
 
+from luxloop import load
 from luxloop.controllers.symbol.heights.feedforward import height_map_of
-from luxloop.loop.scenario.model import load
 from luxloop.perception.birdseye import Region
 from luxloop.world.roads.shapes import Curb, Flat
 from tests.loop.conftest import simulation_of
@@ -17,13 +19,8 @@ GIVEN = f"{{name='feedforward', road={LIFTED}}}"
 def run(controller: str, steps: int, *more: str) -> tuple[torch.Tensor, list[float]]:
     """The evaluator's centroid errors `[steps, 2]` in % and IoU on a plane 3 cm too high."""
     simulation = simulation_of(load("flat", [*SMALL, f"road={LIFTED}", f"functions.symbol.controller={controller}", *more]))
-    state, centroids, ious = simulation.start(), [], []
-    for _ in range(steps):
-        state, result = simulation.step(state)
-        result = simulation.evaluate(result)
-        centroids.append(result.symbol.metrics.centroid_percent)
-        ious.append(float(result.symbol.metrics.iou))
-    return torch.stack(centroids), ious
+    metrics = [result.symbol.metrics for result in islice(simulation.evaluations(), steps)]
+    return torch.stack([each.centroid_percent for each in metrics]), [float(each.iou) for each in metrics]
 
 
 @pytest.mark.parametrize("dof", ["x", "z"])

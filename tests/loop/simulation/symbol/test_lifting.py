@@ -5,13 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
+from luxloop import ExtractionStatus, Observation, ProjectionCommand, Simulation, load
+from luxloop.controllers.symbol.sensing.protocol import Projection
 from luxloop.controllers.symbol.sensing.relocalisation import Relocalisation
 from luxloop.controllers.symbol.stages import LOSSES, Lifting
-from luxloop.loop.scenario.model import load
-from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.extraction import ExtractionStatus
 from luxloop.perception.metrics import Metrics
 from luxloop.world.frames import inverse, pose, rotation, transform
 from tests.loop.conftest import simulation_of

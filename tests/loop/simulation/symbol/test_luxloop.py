@@ -10,15 +10,15 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+from luxloop import Observation, ProjectionCommand, Simulation, load
 from luxloop.controllers.symbol.heights.height_map import CELLS, FOLLOWED, HeightMap, drawn_on
 from luxloop.controllers.symbol.heights.registration import plane_sweep, semi_global
-from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
+from luxloop.controllers.symbol.sensing.projection import Warp
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
-from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
+from luxloop.controllers.symbol.sensing.protocol import Projection
 from luxloop.controllers.symbol.sensing.road_shape import HERE, ray_lengths
-from luxloop.loop.scenario.model import DisturbanceParams, load
+from luxloop.loop.scenario.model import DisturbanceParams
 from luxloop.loop.simulation.result import SimulationState
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.birdseye import Region
 from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import frames_of, simulation_of
@@ -32,13 +32,10 @@ def relief(height: float, brightness: float = 1.0) -> HeightMap:
     return HeightMap(REGION, EYE, torch.full((20, 10), height), torch.full((20, 10), brightness))
 
 
-def drawn(road: HeightMap, lamps: Tensor = LAMP[None]) -> ProjectionCommand:
-    return drawn_on(road, lamps, SymbolParams(image="snowflake"), HERE)
-
-
-def warp_of(projection: ProjectionCommand) -> Warp:
+def drawn(road: HeightMap, lamps: Tensor = LAMP[None]) -> tuple[ProjectionCommand, Warp]:
+    projection = drawn_on(road, lamps, SymbolParams(image="snowflake"), HERE)
     assert projection.warp is not None
-    return projection.warp
+    return projection, projection.warp
 
 
 def on_plane(x: Tensor, y: Tensor) -> Tensor:
@@ -74,18 +71,15 @@ def test_light_falls_on_the_first_thing_in_its_way() -> None:
 
 
 def test_a_drawing_for_the_plane_is_the_symbol_itself() -> None:
-    projection = drawn(relief(0.0, 0.5))
-    warp = warp_of(projection)
-    length, width = warp.size_m
-    v = (2 * (torch.arange(CELLS[0]) + 0.5) / CELLS[0] - 1) * length / 4
-    u = (2 * (torch.arange(CELLS[1]) + 0.5) / CELLS[1] - 1) * width / 2
+    projection, warp = drawn(relief(0.0, 0.5))
+    v, u = ((2 * (torch.arange(n) + 0.5) / n - 1) * size / share for n, size, share in zip(CELLS, warp.size_m, (4, 2), strict=True))
     # rounding of float32 coordinates of some 20 m, over half of the symbol's width of 1 m
     inner = (slice(FOLLOWED, -FOLLOWED), slice(FOLLOWED, -FOLLOWED))  # at the outermost, dark cells nothing is there to interpolate
     torch.testing.assert_close(projection.pose, torch.tensor([17.0, 0.0, 0.0, 0.0]), rtol=0, atol=1e-4)
     torch.testing.assert_close(warp.source[0, 1][inner], v[:, None].expand(CELLS)[inner], rtol=0, atol=1e-4)
     torch.testing.assert_close(warp.source[0, 0][inner], u.expand(CELLS)[inner], rtol=0, atol=1e-4)
     assert (warp.dimming == 1).all(), "what is darker than expected is not dimmed"
-    assert torch.allclose(warp_of(drawn(relief(0.0, 4.0))).dimming, torch.tensor(0.25))
+    assert torch.allclose(drawn(relief(0.0, 4.0))[1].dimming, torch.tensor(0.25))
 
 
 @pytest.mark.parametrize("slope", [-0.02, 0.03])
@@ -93,21 +87,21 @@ def test_a_symbol_for_a_slope_is_drawn_on_the_slope(slope: float) -> None:
     shape = torch.tensor([[slope * 14.0, slope, 0.01, 0.0]])
     x, y = torch.meshgrid(torch.linspace(20.95, 13.05, 80), torch.linspace(1.95, -1.95, 40), indexing="ij")
     heights = EYE[2] * (1 - ray_lengths(shape, 17.0, EYE, on_plane(x, y) - EYE[:, None, None])[0])
-    projection = drawn(HeightMap(REGION, EYE, heights, torch.ones(80, 40)))
+    projection, warp = drawn(HeightMap(REGION, EYE, heights, torch.ones(80, 40)))
     x, y, roll, pitch = projection.pose
     assert projection.z is not None
     assert float(projection.z) == pytest.approx(float(shape[0, 0] + slope * (x - 17) + 0.01 * y), abs=1e-3)  # rounding over 20 m
     # heights behind lines of sight between cells of 10 cm are interpolated, on a slope they are not quite linear
     assert float(pitch) == pytest.approx(-math.atan(slope), abs=3e-4)
     assert float(roll) == pytest.approx(math.atan(0.01), abs=3e-4)
-    u, v = warp_of(projection).source[0]
+    u, v = warp.source[0]
     assert (u.min() < -1) & (u.max() > 1) & (v.min() < -1) & (v.max() > 1), "the patch holds the whole symbol"
 
 
 def test_each_lamp_has_a_drawing_of_its_own() -> None:
     eye, lamps = torch.tensor([-1.6, 0.0, 1.35]), torch.stack([LAMP, LAMP * torch.tensor([1.0, -1.0, 1.0])])
     wave = 0.03 * (1 + torch.linspace(-6, 6, 20).cos())[:, None].expand(20, 10)
-    warp = warp_of(drawn(HeightMap(REGION, eye, wave, torch.linspace(1, 2, 20)[:, None].expand(20, 10)), lamps))
+    _, warp = drawn(HeightMap(REGION, eye, wave, torch.linspace(1, 2, 20)[:, None].expand(20, 10)), lamps)
     left, right = warp.source
     # rounding of float32 coordinates, as above; what is left for one lamp is right for the other
     torch.testing.assert_close(right, torch.stack([-left[0], left[1]]).flip(-1), rtol=0, atol=2e-4)
@@ -206,13 +200,13 @@ def test_without_frames_and_without_light_the_open_loop_is_shown() -> None:
     prepared = simulation('{kind="flat"}')
     state, result = prepared.step(prepared.start())
     controller, target = prepared.symbol.controller, prepared.symbol.projector.target
-    blind = controller.step(controller.start(result.planning.projections["symbol"].pose), _look(prepared, None))
-    assert torch.equal(blind.projection.pose, target)
     dark = tuple(torch.zeros_like(frame) for frame in result.frames)
-    assert torch.equal(controller.step(state.symbols["symbol"].controller, _look(prepared, dark)).projection.pose, target)
+    start = controller.start(result.planning.projections["symbol"].pose)
+    for before, frames in ((start, None), (state.symbols["symbol"].controller, dark)):
+        assert torch.equal(controller.step(before, look(prepared, frames)).projection.pose, target)
 
 
-def _look(prepared: Simulation, frames: tuple[Tensor, Tensor] | None) -> Observation:
+def look(prepared: Simulation, frames: tuple[Tensor, Tensor] | None) -> Observation:
     sensor, projection = prepared.symbol.sensor, ProjectionCommand(prepared.symbol.projector.target)
     lights = sensor.projector.light(projection.pose)
     return Observation(sensor.measure(frames, projection, lights), frames, Projection(projection, lights))

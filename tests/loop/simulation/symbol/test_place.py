@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
+from luxloop import load
 from luxloop.controllers.symbol.sensing.projection import CELLS
-from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.result import StepResult
 from luxloop.perception.birdseye import birds_eye, cells, region_around
 from luxloop.perception.camera import CameraParams, camera_view

@@ -3,10 +3,9 @@
 import pytest
 import torch
 
+from luxloop import Scenario, load, prepare
 from luxloop.controllers.functions.base_beams import BaseBeamParams
 from luxloop.controllers.symbol.sensing.projector import StartParams
-from luxloop.loop.run import prepare
-from luxloop.loop.scenario.model import Scenario, load
 from luxloop.perception.camera import luminance_of
 from tests.loop.conftest import simulation_of
 from tests.refusal import refusal

@@ -5,17 +5,14 @@ import pickle
 import pytest
 import torch
 
+from luxloop import Simulation, load
 from luxloop.controllers.symbol.alignment import Alignment, Placement
-from luxloop.loop.scenario.model import load
-from luxloop.loop.simulation.simulation import Simulation
 from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import simulation_of
 
 SMALL = [
     f"headlight.model={SMALL_LAMP}",
-    "camera.width_px=640",
-    "camera.height_px=360",
-    "camera.oversampling=2",
+    "camera={ width_px=640, height_px=360, oversampling=2 }",
     "functions.symbol.image=snowflake",
 ]
 ROUGH = ["road.kind=bumps", "road.seed=3"]
@@ -68,15 +65,11 @@ def test_where_nothing_has_moved_nothing_is_moved(alignment: Alignment) -> None:
     torch.testing.assert_close(found.of(alignment.points), alignment.points, rtol=0, atol=1e-5)  # single precision
 
 
-def test_the_supervisor_keeps_the_open_loop_behind_a_box() -> None:
-    kept = ious(6, "{name='gauss_newton', supervisor={}}", BOX)
-    assert kept == ious(6, "{name='open'}", BOX)
-
-
-def test_the_supervisor_lets_control_begin_from_the_open_loop() -> None:
+def test_the_supervisor_lets_control_begin_from_the_open_loop_and_keeps_it_behind_a_box() -> None:
     controlled, opened = (ious(14, controller, *ROUGH) for controller in ("{name='gauss_newton', supervisor={}}", "{name='open'}"))
-    assert controlled[0] == opened[0]
-    assert controlled[-1] > opened[-1]
+    assert controlled[0] == opened[0] and controlled[-1] > opened[-1]
+    kept, opened = (ious(6, controller, BOX) for controller in ("{name='gauss_newton', supervisor={}}", "{name='open'}"))
+    assert kept == opened
 
 
 def test_a_controller_that_makes_things_worse_loses_the_charge() -> None:
@@ -91,13 +84,11 @@ def test_a_controller_that_makes_things_worse_loses_the_charge() -> None:
 @pytest.mark.parametrize("stage", ["warp", pytest.param("supervisor", marks=pytest.mark.slow)])
 def test_a_run_goes_on_from_a_stored_state(stage: str) -> None:
     prepared = simulation(f"functions.symbol.controller={{name='gauss_newton', {stage}={{}}}}", *ROUGH, "camera.latency_steps=1")
-    kept, stored = prepared.start(), prepared.start()
-    found = []
+    kept, stored, found = prepared.start(), prepared.start(), []
     for _ in range(10):
         kept, result = prepared.step(kept)
-        result = prepared.evaluate(result)
         stored, again = prepared.step(pickle.loads(pickle.dumps(stored)))
-        again = prepared.evaluate(again)
-        found.append(float(result.symbol.metrics.iou))
-        assert float(again.symbol.metrics.iou) == found[-1]
+        iou, other = (float(prepared.evaluate(each).symbol.metrics.iou) for each in (result, again))
+        assert iou == other
+        found.append(iou)
     assert len(set(found[-6:])) > 1, "the stage has begun to act"

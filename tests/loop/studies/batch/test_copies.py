@@ -5,10 +5,8 @@ from dataclasses import replace
 import pytest
 import torch
 
+from luxloop import ProjectionCommand, Simulation, load
 from luxloop.controllers.pixels.ssc import WindowedSsc
-from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.loop.scenario.model import load
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.batch import drawing
 from luxloop.loop.studies.batch.copies import Copies, Taken
 from tests.loop.conftest import simulation_of

@@ -6,14 +6,13 @@ import pytest
 import torch
 from torch import Tensor
 
+from luxloop import LuxloopError, Scenario, Simulation, load
 from luxloop.controllers.symbol.feedback import ThesisPid
-from luxloop.loop.scenario.model import HeadlightParams, Scenario, load
+from luxloop.loop.scenario.model import HeadlightParams
 from luxloop.loop.simulation.build_lamps import mount
 from luxloop.loop.simulation.lamps import MountedModule
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.batch.rollouts import GAINS, check, rollouts, with_gains
 from luxloop.loop.studies.ranges import value_of, with_values
-from luxloop.world.errors import LuxloopError
 from luxloop.world.symbols import load_still
 from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import simulation_of

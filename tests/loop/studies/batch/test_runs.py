@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import torch
 
-from luxloop.loop.scenario.model import Scenario, load
+from luxloop import Scenario, load
 from luxloop.loop.studies import runs as batch
 from luxloop.loop.studies.batch.copies import Copies
 from luxloop.loop.studies.runs import figures_and_trace, ready, with_controllers

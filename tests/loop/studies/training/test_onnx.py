@@ -103,13 +103,13 @@ DENSE = np.random.default_rng(0).random((3549, 85))  # one box a cell of 52 x 52
 DECODED = DENSE * np.array([416.0, 416, 60, 60, *[1] * 81])
 
 
-@pytest.mark.parametrize("offset", [0.0, -0.9])
 @pytest.mark.parametrize("layout", ["yolov5", "yolov8"])
-def test_offsets_that_are_not_decoded_are_refused(layout: Any, offset: float, tmp_path: Path) -> None:
-    raw = DENSE * np.array([1.0, 1, 4, 4, *[1] * 81]) + np.array([0, 0, offset, offset, *[0] * 81])
-    file = says(raw if layout == "yolov5" else raw[:, :84].T, (416, 416), tmp_path / "says.onnx")
-    with refusal(r"detector\.layout: .*not decoded"):
-        OnnxDetector(OnnxParams(file=file, layout=layout, input_px=(416, 416)))
+def test_offsets_that_are_not_decoded_are_refused(layout: Any, tmp_path: Path) -> None:
+    for offset in (0.0, -0.9):
+        raw = DENSE * np.array([1.0, 1, 4, 4, *[1] * 81]) + np.array([0, 0, offset, offset, *[0] * 81])
+        file = says(raw if layout == "yolov5" else raw[:, :84].T, (416, 416), tmp_path / "says.onnx")
+        with refusal(r"detector\.layout: .*not decoded"):
+            OnnxDetector(OnnxParams(file=file, layout=layout, input_px=(416, 416)))
 
 
 def test_a_network_like_yolox_is_told_its_white(tmp_path: Path) -> None:
@@ -132,20 +132,18 @@ def test_one_class_that_is_always_sure_is_no_class_number(tmp_path: Path) -> Non
     assert found.boxes.tolist() == [[270, 220, 370, 420]] and found.scores.tolist() == [[pytest.approx(0.9)]]
 
 
-@pytest.mark.parametrize("wrong", [np.nan, np.inf])
-@pytest.mark.parametrize("number", [0, 2, 4])  # of what it says: the middle, the width, a score
-def test_what_is_not_finite_is_left_out(number: int, wrong: float, tmp_path: Path) -> None:
-    numbers = np.array(LAYOUTS["yolov8"])
-    numbers[number, 0] = wrong
-    detector = OnnxDetector(OnnxParams(file=says(numbers, (640, 640), tmp_path / "says.onnx"), classes={0: "pedestrian", 1: "animal"}))
-    (found,) = detector.detect(torch.rand(1, 160, 320))
-    assert found.boxes.tolist() == [pytest.approx([145, 15, 155, 25])] and found.scores[0].tolist() == pytest.approx([0.2, 0.7])
+def test_what_is_not_finite_is_left_out(tmp_path: Path) -> None:
+    for wrong in (np.nan, np.inf):
+        for number in (0, 2, 4):  # of what it says: the middle, the width, a score
+            numbers = np.array(LAYOUTS["yolov8"])
+            numbers[number, 0] = wrong
+            file = says(numbers, (640, 640), tmp_path / "says.onnx")
+            (found,) = OnnxDetector(OnnxParams(file=file, classes={0: "pedestrian", 1: "animal"})).detect(torch.rand(1, 160, 320))
+            assert found.boxes.tolist() == [pytest.approx([145, 15, 155, 25])] and found.scores[0].tolist() == pytest.approx([0.2, 0.7])
 
 
 def test_what_is_no_network_is_said_in_a_sentence(tmp_path: Path) -> None:
-    with refusal(r"detector.file: .*none.onnx: there is no such file"):
-        OnnxDetector(OnnxParams(file=str(tmp_path / "none.onnx")))
-    broken = tmp_path / "broken.onnx"
-    broken.write_bytes(b"no network")
-    with refusal(r"broken.onnx: is not a valid ONNX file"):
-        OnnxDetector(OnnxParams(file=str(broken)))
+    (tmp_path / "broken.onnx").write_bytes(b"no network")
+    for name, words in (("none.onnx", r"detector.file: .*none.onnx: there is no such file"), ("broken.onnx", "is not a valid ONNX file")):
+        with refusal(words):
+            OnnxDetector(OnnxParams(file=str(tmp_path / name)))

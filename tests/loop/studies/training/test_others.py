@@ -6,8 +6,9 @@ from typing import Any
 import pytest
 import torch
 
+from luxloop import Detections
 from luxloop.perception.detection.build import detector
-from luxloop.perception.detection.detector import Detections, HogParams, OwnDetector, overlaps
+from luxloop.perception.detection.detector import HogParams, OwnDetector, overlaps
 from tests.loop.studies.training.lit import Lit
 from tests.refusal import refusal
 
@@ -28,16 +29,13 @@ def test_hog_finds_a_pedestrian_by_light_and_nobody_in_the_dark(lit: Lit, device
     assert not (dark.scores > 0.5).any()
 
 
-def test_hog_in_an_empty_frame_finds_nothing() -> None:
+def test_hog_takes_frames_smaller_than_its_window_and_empty_ones() -> None:
+    """OpenCV's window is 64 x 128 px; of a frame smaller than that it reads beyond the end, and the process dies."""
+    for size in ((180, 320), (90, 160), (30, 40), (2, 2), (256, 128)):
+        (found,) = detector(HogParams(magnify=0.5), CPU).detect(torch.rand(1, *size, generator=torch.Generator().manual_seed(0)))
+        assert bool(found.boxes.isfinite().all())
     (found,) = detector(HogParams(), CPU).detect(torch.zeros(1, 180, 320))
     assert found.boxes.shape == (0, 4) and found.scores.shape == (0, 1)
-
-
-@pytest.mark.parametrize("size", [(180, 320), (90, 160), (30, 40), (2, 2), (256, 128)])
-def test_hog_takes_frames_smaller_than_its_window(size: tuple[int, int]) -> None:
-    """OpenCV's window is 64 x 128 px; of a frame smaller than that it reads beyond the end, and the process dies."""
-    (found,) = detector(HogParams(magnify=0.5), CPU).detect(torch.rand(1, *size, generator=torch.Generator().manual_seed(0)))
-    assert bool(found.boxes.isfinite().all())
 
 
 OWN = """
@@ -63,10 +61,10 @@ class Brightest:
 def test_a_detector_of_ones_own_is_made_with_its_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "own_detector_of_a_test.py").write_text(OWN)
     monkeypatch.syspath_prepend(tmp_path)
-    own = detector(OwnDetector(kind="own_detector_of_a_test:Brightest", options={"size_px": 10}), CPU)
+    brightest = detector(OwnDetector(kind="own_detector_of_a_test:Brightest", options={"size_px": 10}), CPU)
     frames = torch.zeros(1, 60, 80)
     frames[0, 30, 40] = 0.5
-    (found,) = own.detect(frames)
+    (found,) = brightest.detect(frames)
     assert found.boxes.tolist() == [[35, 25, 45, 35]] and found.scores.tolist() == [[0.5]]
     with refusal(r"detector\.options\.sise_px: .*did you mean 'size_px'"):
         detector(OwnDetector(kind="own_detector_of_a_test:Brightest", options={"sise_px": 10}), CPU)
@@ -84,13 +82,14 @@ class Given:
         return [self.found] * len(frames)
 
 
-KIND = f"{__name__}:Given"
+def own(**options: Any) -> Any:
+    return detector(OwnDetector(kind=f"{__name__}:Given", options=options), CPU)
 
 
 @pytest.mark.parametrize("classes", [None, (), ["car"], ("dog",), "car"])
 def test_classes_of_ones_own_detector_must_be_known(classes: Any) -> None:
     with refusal(r"detector.kind: .*Given: has (no classes|classes = .*); it needs a tuple of some of car"):
-        detector(OwnDetector(kind=KIND, options={"classes": classes}), CPU)
+        own(classes=classes)
 
 
 BOXES, SCORES = torch.tensor([[10.0, 20.0, 30.0, 40.0]] * 3), torch.zeros(3, 2)
@@ -106,17 +105,6 @@ BOXES, SCORES = torch.tensor([[10.0, 20.0, 30.0, 40.0]] * 3), torch.zeros(3, 2)
         (BOXES / 0 * 0, SCORES, "some of which are not finite"),
         (BOXES.numpy(), SCORES.numpy(), r"fails.*\(AttributeError"),
         (None, None, r"fails.*\(AttributeError"),
-    ],
-)
-def test_what_ones_own_detector_gives_is_checked(boxes: Any, scores: Any, said: str) -> None:
-    own = detector(OwnDetector(kind=KIND, options={"boxes": boxes, "scores": scores}), CPU)
-    with refusal(rf"detector.kind: .*Given: .*detect.*must give one Detections a frame.*{said}|{said}.*must"):
-        own.detect(torch.zeros(2, 60, 80))
-
-
-@pytest.mark.parametrize(
-    ("boxes", "scores", "said"),
-    [
         (BOXES, SCORES - 0.1, r"scores from -0.1 to -0.1; give 0\.\.1: of logits the sigmoid"),
         (BOXES, SCORES + 30, r"scores from 30 to 30; give 0\.\.1"),
         (BOXES[:, [2, 1, 0, 3]], SCORES, "boxes with sides down to -20 px; give left, top, right, bottom"),
@@ -125,15 +113,13 @@ def test_what_ones_own_detector_gives_is_checked(boxes: Any, scores: Any, said: 
         (BOXES + 60, SCORES, "middle is outside of the frame of 80 x 60 px"),
     ],
 )
-def test_what_ones_own_detector_gives_is_in_range_in_a_run_as_well(boxes: Any, scores: Any, said: str) -> None:
-    own = detector(OwnDetector(kind=KIND, options={"boxes": boxes, "scores": scores}), CPU)
-    with refusal(rf"^detector.kind: .*Given: detect: gives .*{said}"):
-        own.detect(torch.zeros(2, 60, 80))
+def test_what_ones_own_detector_gives_is_checked_in_a_run_as_well(boxes: Any, scores: Any, said: str) -> None:
+    with refusal(rf"^detector.kind: .*Given: .*{said}"):
+        own(boxes=boxes, scores=scores).detect(torch.zeros(2, 60, 80))
 
 
 def test_boxes_that_reach_beyond_the_frame_are_none_the_worse() -> None:
-    boxes = torch.tensor([[-10.0, -5.0, 30.0, 40.0]])
-    right = detector(OwnDetector(kind=KIND, options={"boxes": boxes, "scores": SCORES[:1]}), CPU)
-    assert [len(each) for each in right.detect(torch.zeros(2, 60, 80))] == [1, 1]
-    right = detector(OwnDetector(kind=KIND, options={"boxes": BOXES, "scores": SCORES}), CPU)
-    assert [len(each) for each in right.detect(torch.zeros(2, 60, 80))] == [3, 3]
+    beyond = torch.tensor([[-10.0, -5.0, 30.0, 40.0]])
+    for boxes in (beyond, BOXES):
+        found = own(boxes=boxes, scores=SCORES[: len(boxes)]).detect(torch.zeros(2, 60, 80))
+        assert [len(each) for each in found] == [len(boxes)] * 2

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from luxloop.loop.commands import cli
+from luxloop import Detections, LuxloopError
 from luxloop.loop.studies.jobs import local
 from luxloop.loop.studies.training import fit
 from luxloop.loop.studies.training.evaluate import boxes_right, evaluate, score_frame
@@ -19,9 +19,9 @@ from luxloop.loop.studies.training.report import page
 from luxloop.loop.studies.training.scenes import CAMERA, CLASSES, HELD_OUT, TRAINING, DarkScene, SceneObject, draw, read
 from luxloop.loop.studies.training.train import LEAST_SCORE, calibrate, draw_scenes, logistic, store
 from luxloop.perception.detection.build import WEIGHTS, detector
-from luxloop.perception.detection.detector import Detections, NetworkParams
+from luxloop.perception.detection.detector import NetworkParams
 from luxloop.perception.detection.network import STRIDE, NetworkDetector
-from luxloop.world.errors import LuxloopError
+from tests.loop.conftest import Lux, assert_refused
 
 CPU = torch.device("cpu")
 ROOT = Path(__file__).parents[4]
@@ -75,8 +75,7 @@ def test_parts_and_mirror_images_keep_boxes_on_their_objects(row: dict[str, obje
 def test_the_nearer_object_hides_the_farther_one() -> None:
     far, near = plain(20.0, (50, 20, 90, 100)), plain(10.0, (70, 20, 110, 100))
     for both in (far.behind(near), near.behind(far)):
-        shares = sorted((each.visible, each.box[0]) for each in both.objects)
-        assert shares == [(0.5, 50), (1.0, 70)]
+        assert sorted((each.visible, each.box[0]) for each in both.objects) == [(0.5, 50), (1.0, 70)]
         assert both.object_id.unique().numel() == 3
 
 
@@ -169,17 +168,20 @@ def test_what_is_too_dark_is_not_there_and_what_is_dim_does_not_count() -> None:
     assert fit.example(replace(scene, own=half), torch.zeros(scene.shape), 1.0, np.random.default_rng(0))[2][(0, *middle)] == 0
 
 
+ONE = SceneObject(1, 0, (10.0, 10.0, 30.0, 60.0), 1.0, 1.0)
+SMALL = replace(ONE, box=(200.0, 0.0, 210.0, 20.0))  # too small to be asked for
+
+
 def test_metrics_count_what_is_found_missed_and_false() -> None:
-    seen = SceneObject(1, 0, (10.0, 10.0, 30.0, 60.0), 1.0, 1.0)
-    objects = [seen, replace(seen, label=2, box=(100.0, 10.0, 160.0, 50.0)), replace(seen, box=(200.0, 0.0, 210.0, 20.0))]
+    objects = [ONE, replace(ONE, label=2, box=(100.0, 10.0, 160.0, 50.0)), SMALL]
     boxes = torch.tensor([[10.0, 10, 30, 58], [11, 10, 30, 60], [101, 10, 160, 50], [200, 0, 210, 20], [300, 300, 340, 380]])
     scores = torch.tensor([[0.9, 0, 0, 0], [0.2, 0, 0, 0], [0.1, 0.6, 0.4, 0], [0.5, 0, 0, 0], [0, 0, 0, 0.7]])
     found = score_frame(Detections(boxes, scores), objects, range(4))
-    assert found.labels == (0, 2) and found.found == (True, True) and found.right == (True, False)
+    assert (found.labels, found.found, found.right) == ((0, 2), (True, True), (True, False))
     assert found.confidences == pytest.approx((0.9, 0.4))
-    assert found.false == 1  # the third object is too small to be asked for, but it is one
+    assert found.false == 1  # the third object is too small, but it is one
     nothing = score_frame(Detections(boxes[:0], scores[:0]), objects, range(4))
-    assert nothing.found == (False, False) and nothing.confidences == (0.0, 0.0) and nothing.false == 0
+    assert (nothing.found, nothing.confidences, nothing.false) == ((False, False), (0.0, 0.0), 0)
 
 
 def test_the_shipped_weights_are_as_good_as_their_report_says_on_one_scene(row: dict[str, object]) -> None:
@@ -197,22 +199,22 @@ def test_the_page_says_what_the_report_says() -> None:
     assert REPORT.with_suffix(".md").read_text("utf-8").endswith(text)
 
 
-def test_a_network_that_has_learnt_nothing_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_network_that_has_learnt_nothing_is_refused(lux: Lux, tmp_path: Path) -> None:
     """From a scene with nobody in it nothing can be learnt."""
-    draw_scenes(tmp_path, TRAINING, 1, local(1), "scene")
-    jobs = [json.loads(line) for line in (tmp_path / "scenes.jsonl").read_text("utf-8").splitlines()]
+    out = tmp_path / "out"
+    draw_scenes(out, TRAINING, 1, local(1), "scene")
+    jobs = [json.loads(line) for line in (out / "scenes.jsonl").read_text("utf-8").splitlines()]
     jobs[0]["result"]["objects"] = []
-    (tmp_path / "scenes.jsonl").write_text(json.dumps(jobs[0]) + "\n", "utf-8")
-    numbers = {"scenes": 1, "held-out": 1, "epochs": 1, "jobs": 1}
-    arguments = ["train-detector", "--out", str(tmp_path), *(str(each) for key, n in numbers.items() for each in (f"--{key}", n))]
-    assert cli.main(arguments) == cli.WRONG
-    assert "scores do not separate correct boxes from wrong ones; give more --scenes or --epochs" in capsys.readouterr().err
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["scenes", "scenes.jsonl"]
-    files = sorted((tmp_path / "scenes").iterdir())
+    (out / "scenes.jsonl").write_text(json.dumps(jobs[0]) + "\n", "utf-8")
+    line = ["train-detector", "--out", str(out), "--scenes", "1", "--held-out", "1", "--epochs", "1", "--jobs", "1"]
+    code, _, error = lux(*line)
+    assert code == 2 and "scores do not separate correct boxes from wrong ones; give more --scenes or --epochs" in error
+    assert sorted(path.name for path in out.iterdir()) == ["scenes", "scenes.jsonl"]
+    files = sorted((out / "scenes").iterdir())
     assert [path.stem for path in files] == [str(TRAINING), str(HELD_OUT)]
     files[0].unlink()
-    assert cli.main(arguments) == cli.WRONG
-    assert f"remove {tmp_path / 'scenes.jsonl'}" in capsys.readouterr().err
+    code, _, error = lux(*line)
+    assert code == 2 and f"remove {out / 'scenes.jsonl'}" in error
 
 
 def test_weights_and_report_are_stored_whole_or_not_at_all(tmp_path: Path) -> None:
@@ -261,18 +263,15 @@ def test_a_logistic_curve_is_found_again() -> None:
 
 
 def test_boxes_are_right_once_an_object() -> None:
-    one = SceneObject(1, 0, (10.0, 10.0, 30.0, 60.0), 1.0, 1.0)
-    small = replace(one, box=(200.0, 0.0, 210.0, 20.0))
     boxes = torch.tensor([[10.0, 10, 30, 58], [11, 10, 30, 60], [10, 10, 30, 60], [200, 10, 210, 20], [300, 300, 340, 380]])
     scores = torch.tensor([[0.8, 0], [0.9, 0], [0, 0.7], [0.6, 0], [0.5, 0]])
-    # the second box is the surest on the object, the third of another class, the fourth on half of what is too small to be asked for
-    found = boxes_right(Detections(boxes, scores), [one, small], range(2))
-    assert [right for _, right in found] == [True, False, False, True, False]
-    assert [score for score, _ in found] == pytest.approx([0.9, 0.8, 0.7, 0.6, 0.5])
+    # the second box is the surest on the object, the third of another class, the fourth on half of what is too small
+    found = boxes_right(Detections(boxes, scores), [ONE, SMALL], range(2))
+    expected = zip((0.9, 0.8, 0.7, 0.6, 0.5), (True, False, False, True, False), strict=True)
+    assert found == [(pytest.approx(score), right) for score, right in expected]
 
 
-def test_numbers_that_make_no_sense_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_numbers_that_make_no_sense_are_refused(lux: Lux) -> None:
     for key, value, least in (("epochs", "0", 1), ("jobs", "0", 1), ("seed", "-1", 0)):
-        assert cli.main(["train-detector", "--out", str(tmp_path), f"--{key}", value]) == cli.WRONG
-        assert f"for --{key}; must be >= {least}" in capsys.readouterr().err
-    assert not any(tmp_path.iterdir())
+        assert_refused(lux("train-detector", "--out", "set", f"--{key}", value), f"for --{key}; must be >= {least}")
+    assert not Path("set").exists()
