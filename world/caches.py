@@ -1,5 +1,6 @@
 """Caches: the last few results of a method; the parts of an image that were read."""
 
+import math
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any, Final, ParamSpec, TypeVar, cast
@@ -9,7 +10,7 @@ from torch import Tensor
 from torch.utils._pytree import tree_map_only
 
 Part = tuple[slice, slice]  # rows and columns of an image, with start and stop
-AROUND_PX: Final = (8, 32)  # rows and columns computed around the part that is read, for the next reader
+AROUND: Final = (0.03, 0.08)  # shares of rows and columns that are computed around the part that is read, for the next reader
 ABOUT: Final = {Tensor.dim, Tensor.size, *(getattr(Tensor, name).__get__ for name in ("shape", "dtype", "device", "ndim", "requires_grad"))}
 
 
@@ -42,11 +43,17 @@ class PartialImage(Tensor):
         ends = (each.indices(n) for each, n in zip((rows, columns), self.shape, strict=True))
         asked, known = tuple(slice(start, max(start, stop)) for start, stop, _ in ends), self.known
         if known is None or any(each.start < have.start or each.stop > have.stop for each, have in zip(asked, known, strict=True)):
-            spans = zip(asked, known or asked, AROUND_PX, self.shape, strict=True)
-            v, u = (slice(max(min(each.start, have.start) - px, 0), min(max(each.stop, have.stop) + px, n)) for each, have, px, n in spans)
+            spans = zip(asked, known or asked, AROUND, self.shape, strict=True)
+            v, u = (_span(min(each.start, have.start), max(each.stop, have.stop), share, n) for each, have, share, n in spans)
             self.pixels, self.known = self.part_of((v, u)), (known := (v, u))
         (v, u), (top, left) = asked, (each.start for each in known)
         return self.pixels[..., v.start - top : v.stop - top, u.start - left : u.stop - left]
+
+
+def _span(start: int, stop: int, share: float, n: int) -> slice:
+    """From start to stop and a share of n to both sides, within n."""
+    around = math.ceil(share * n)
+    return slice(max(start - around, 0), min(stop + around, n))
 
 
 Arguments = ParamSpec("Arguments")

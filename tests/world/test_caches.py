@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop.world.caches import AROUND_PX, Part, PartialImage, keeping
+from luxloop.world.caches import Part, PartialImage, keeping
 
 
 @dataclass
@@ -66,7 +66,7 @@ def test_only_what_is_read_is_computed(image: PartialImage, computed: list[Part]
     assert isinstance(image, Tensor) and not computed
     rows, columns = slice(50, 60), slice(100, 140)
     assert image[..., rows, columns].equal(WHOLE[rows, columns]) and image[rows, columns].equal(WHOLE[rows, columns])
-    near = slice(50 - AROUND_PX[0], 60 + AROUND_PX[0]), slice(100 - AROUND_PX[1], 140 + AROUND_PX[1])
+    near = slice(44, 66), slice(76, 164)  # 3 % of 200 rows, 8 % of 300 columns beyond
     assert image[near].equal(WHOLE[near]) and computed == [near]
     farther = slice(195, None), slice(0, 2)
     assert image[farther].equal(WHOLE[farther]) and image[rows, columns].equal(WHOLE[rows, columns]) and len(computed) == 2

@@ -1,4 +1,4 @@
-"""The project's only ray caster: one embree scene each of the fine and coarse road, static and moving bodies."""
+"""The project's only ray caster: one embree scene of static bodies and one of moving bodies."""
 
 from collections.abc import Iterator
 from dataclasses import replace

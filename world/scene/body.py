@@ -18,6 +18,7 @@ from luxloop.world.scene.embree import EmbreeMesh
 
 if TYPE_CHECKING:
     import trimesh
+    from scipy.spatial.transform import Slerp
 from functools import cache
 from typing import Final
 
@@ -106,17 +107,20 @@ class PoseTrack:
         return pose(T[:3, 3] + torch.stack([z.new_zeros(()), z.new_zeros(()), z.mean()]), R @ rotation(roll, pitch, z.new_zeros(())))
 
     def _interpolate(self, t_s: float) -> Tensor:
-        from scipy.spatial.transform import Rotation, Slerp
-
         t = min(max(t_s, self.times_s[0]), self.times_s[-1])
         after = int(np.searchsorted(self.times_s, t))
         if self.times_s[after] == t:
             return self.T_world_body[after]
-        before = after - 1
-        share = (t - self.times_s[before]) / (self.times_s[after] - self.times_s[before])
-        start, stop = self.T_world_body[before], self.T_world_body[after]
-        arc = Slerp([0.0, 1.0], Rotation.from_matrix(torch.stack([start, stop])[:, :3, :3].numpy()))
-        return pose(torch.lerp(start[:3, 3], stop[:3, 3], share), torch.from_numpy(arc(share).as_matrix()))
+        start_s, stop_s = self.times_s[after - 1 : after + 1]
+        start, stop = self.T_world_body[after - 1 : after + 1, :3, 3]
+        return pose(torch.lerp(start, stop, (t - start_s) / (stop_s - start_s)), torch.from_numpy(self._rotation(t).as_matrix()))
+
+    @cached_property
+    def _rotation(self) -> "Slerp":
+        """Rotation at a time."""
+        from scipy.spatial.transform import Rotation, Slerp
+
+        return Slerp(self.times_s, Rotation.from_matrix(self.T_world_body[:, :3, :3].numpy()))
 
 
 @dataclass(frozen=True, eq=False)

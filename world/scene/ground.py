@@ -105,9 +105,9 @@ class StandingRoad:
         """`_make`, memoised."""
         return keeping(1, self._make)
 
-    def near(self, object_id: int, T_world_ground: Tensor) -> list[tuple[Instance, ...]]:
+    def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Instance, ...]:
         """The whole road as the body `object_id`."""
-        return [(self._road(object_id),)]
+        return (self._road(object_id),)
 
     def _make(self, object_id: int) -> Instance:
         return _instance(self, object_id, road_mesh(self.road))
@@ -152,16 +152,16 @@ class RoadTiles:
         """`_make`, memoised for the last tiles."""
         return keeping(TILES_IN_SIGHT * math.ceil(self.sight_m / LENGTH_M), self._make)
 
-    def near(self, object_id: int, T_world_ground: Tensor) -> list[tuple[Instance, ...]]:
+    def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Instance, ...]:
         """The fine and the coarse tiles in sight of a vehicle at `T_world_ground` `[4, 4]`, as parts of the body `object_id`."""
         (cos, sin), (x, y) = T_world_ground[:2, 0].tolist(), T_world_ground[:2, 3].tolist()
-        fine, coarse = list[Instance](), list[Instance]()
+        tiles = list[Instance]()
         for k in range(int((x - self.sight_m) // LENGTH_M), int((x + self.sight_m) // LENGTH_M) + 1):
             start, stop = k * LENGTH_M, (k + 1) * LENGTH_M
             if max((end - x) * cos + (side - y) * sin for end in (start, stop) for side in self._edges_m) > 0:
                 far = max(start - x, x - stop) > NEAR_M
-                (coarse if far else fine).append(self._tile(object_id, k, far))
-        return [tuple(fine), tuple(coarse)]
+                tiles.append(self._tile(object_id, k, far))
+        return tuple(tiles)
 
     def _make(self, object_id: int, k: int, far: bool) -> Instance:
         """Rows share their columns at all distances, so that tiles meet without gaps; normals look one row beyond the tile."""
@@ -204,7 +204,7 @@ class RoadPatches:
         """`_make`, memoised for the last patches."""
         return keeping(MOST_PATCHES, self._make)
 
-    def near(self, object_id: int, T_world_ground: Tensor) -> list[tuple[Instance, ...]]:
+    def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Instance, ...]:
         """The fine and the coarse patches in sight of a vehicle at `T_world_ground` `[4, 4]`, as parts of the body `object_id`."""
         (cos, sin), place = T_world_ground[:2, 0].tolist(), T_world_ground[:2, 3].numpy()
         reach = math.ceil((self.sight_m + SIDE_M) / SIDE_M)
@@ -213,8 +213,8 @@ class RoadPatches:
         ahead, left, half = cos * x + sin * y, cos * y - sin * x, SIDE_M * math.sqrt(0.5)
         seen = (ahead > -half) & (ahead < self.sight_m + half) & (abs(left) < PATCH_BESIDE_M + half)
         far = np.hypot(np.clip(abs(x) - SIDE_M / 2, 0, None), np.clip(abs(y) - SIDE_M / 2, 0, None)) > PATCH_NEAR_M
-        places = [zip(i[of].tolist(), j[of].tolist(), strict=True) for of in (seen & ~far, seen & far)]
-        return [tuple(self._patch(object_id, *place, bool(n)) for place in some) for n, some in enumerate(places)]
+        places = zip(i[seen].tolist(), j[seen].tolist(), far[seen].tolist(), strict=True)
+        return tuple(self._patch(object_id, *place) for place in places)
 
     def _make(self, object_id: int, i: int, j: int, far: bool) -> Instance:
         """Normals look one row beyond the patch."""

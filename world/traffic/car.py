@@ -20,6 +20,7 @@ STYLES: dict[Style, tuple[tuple[float, float, float], tuple[float, float, float,
 LOW_BEAM_CD, LOW_BEAM_WIDTH_DEG, LOW_BEAM_DOWN_DEG = 15_000.0, (14.0, 1.6), 2.5
 TAIL_CD = 8.0
 WHEEL_M = 0.32
+CLEARANCE_M = 0.02  # of the arches over the road
 
 
 class CarParams(RandomParams):
@@ -102,15 +103,16 @@ def _inset(corners: Floats, margin: float) -> Floats:
 
 
 def _wheels(size: Floats) -> list[Piece]:
-    """Dark arches on the sides, tyres that stand out of them by a centimetre, and rims."""
+    """Dark arches on the sides, tyres that stand out of them by a centimetre or more on both faces, and rims."""
     length, width, _ = size
     pieces = []
     for x in (-0.3 * length, 0.31 * length):
         for side in (-1.0, 1.0):
             centre, out = np.array([x, side * (width / 2 - 0.1), WHEEL_M]), np.array([0.0, side, 0.0])
-            for part, radius, outside in (("trim", 1.16 * WHEEL_M, 0.103), ("tyres", WHEEL_M, 0.113), ("rims", 0.62 * WHEEL_M, 0.118)):
-                middle = centre + xyz(0, 0, max(radius - WHEEL_M, 0))
-                ends = middle + np.array([[-0.1], [outside]]) * out
+            sizes = ("trim", 1.16 * WHEEL_M, 0.08, 0.103), ("tyres", WHEEL_M, 0.1, 0.113), ("rims", 0.62 * WHEEL_M, 0.09, 0.118)
+            for part, radius, inside, outside in sizes:
+                middle = centre + xyz(0, 0, CLEARANCE_M + radius - WHEEL_M if part == "trim" else 0)
+                ends = middle + np.array([[-inside], [outside]]) * out
                 pieces.append(tube(part, ends, [[radius, radius]] * 2, (1, 0, 0), 16))
     return pieces
 

@@ -1,6 +1,6 @@
 """Roads in tiles and in patches: they lie on the road and meet, are fine where it is near, and are there where the vehicle looks."""
 
-from itertools import chain, pairwise
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def tiles(road: Road = ROAD) -> RoadTiles:
 
 
 def near(road: RoadTiles | RoadPatches, T_world_ground: torch.Tensor) -> tuple[Instance, ...]:
-    return tuple(chain.from_iterable(road.near(0, T_world_ground)))
+    return road.near(0, T_world_ground)
 
 
 def vertices(placed) -> np.ndarray:

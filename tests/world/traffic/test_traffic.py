@@ -133,6 +133,23 @@ def test_lamps_of_a_car_shine_and_light_what_is_before_them():
     assert lamp.axis[0] < -0.99 and 17 < float(lamp.position[0]) < 18.2  # it comes towards us
 
 
+def test_no_face_of_a_car_lies_in_another_parts():
+    """Of two faces at one place rounding decides which is seen."""
+    body = made("car")
+    assert body.part_of_face is not None
+    a, b, c = body.corners.unbind(1)  # [F, 3] each
+    normal = torch.linalg.cross(b - a, c - a)
+    normal = normal / normal.norm(dim=1, keepdim=True).clamp(min=1e-12)
+    middles = body.corners.mean(1)  # of the faces, [F, 3]
+    middles = middles[:, None]
+    beside = ((middles - a) * normal).sum(-1).abs() < 1e-6  # in the plane of another face, m, [F, F]
+    beside &= body.part_of_face[:, None] != body.part_of_face
+    inside = torch.stack(
+        [(torch.linalg.cross((v - u).expand(len(a), -1, -1), middles - u) * normal).sum(-1) for u, v in ((a, b), (b, c), (c, a))]
+    )
+    assert not (beside & (inside > 0).all(0)).any()
+
+
 def test_traffic_comes_from_its_seed_in_sight_and_with_room():
     params = TrafficParams(seed=5, pedestrians=6, cyclists=3, cars=2, parked=3, animals=1, signs=2, clutter=8)
     objects = params.objects()
