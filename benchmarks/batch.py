@@ -11,7 +11,7 @@ import torch
 from bench import Goal, Laps, medians, run, show
 
 from luxloop import Simulation, load
-from luxloop.loop.studies.batch.copies import Copies, Taken
+from luxloop.loop.studies.batch.copies import Conditions, Copies
 
 
 def compare(given: Namespace, width: int, height: int) -> dict[str, dict[str, float]]:
@@ -30,7 +30,7 @@ def compare(given: Namespace, width: int, height: int) -> dict[str, dict[str, fl
             laps = Laps()
             light = copies.show(poses)
             laps.lap("show")
-            copies.measure(light, [Taken(seed, step) for seed in range(batch)])
+            copies.measure(light, [Conditions(seed, step) for seed in range(batch)])
             laps.lap("measure")
             copies.evaluate(light)
             laps.lap("evaluate")

@@ -98,8 +98,7 @@ def record(rig: Rig, grids: Grids, blinks: int, level: float, advance: Callable[
     settled: list[Image] = []
     queued = void = 0
     arrivals: list[float] = []
-    rows: Mask | None = None
-    mask: Image | None = None
+    region: tuple[Image, Mask] | None = None
     was_lit = False
     for number in range(LEARNT + blinks):
         on = number % 2 == 1
@@ -116,11 +115,10 @@ def record(rig: Rig, grids: Grids, blinks: int, level: float, advance: Callable[
             for picture, image in _pictures(rig, sent_s + hold_s):
                 arrivals.append(picture.arrived_s)
                 queued += not picture.awaited
-                if mask is None:
+                if region is None:
                     kept.append(image)
                 elif picture.awaited and picture.arrived_s > sent_s:  # not of the previous blink, which may be void
-                    assert rows is not None
-                    pictures.append((picture.arrived_s, picture.late_s, (image * mask).sum(1)[rows]))
+                    pictures.append((picture.arrived_s, picture.late_s, (image * region[0]).sum(1)[region[1]]))
             in_doubt = rig.keeper.since_s != sent_s or not rig.camera.alive
         if in_doubt and (number < LEARNT or (void := void + 1) > blinks / 2):
             raise LuxloopError(f"blink: {rig.keeper.reason or rig.camera.reason}")
@@ -132,9 +130,10 @@ def record(rig: Rig, grids: Grids, blinks: int, level: float, advance: Callable[
         if number < LEARNT:
             settled.append(_steady(kept))
             if number == LEARNT - 1:
-                mask, rows = _region(*(each.mean(0) for each in settled))
+                region = _region(*(each.mean(0) for each in settled))
         advance()
-    assert mask is not None and rows is not None
+    assert region is not None
+    mask, rows = region
     steady = [(each * mask).sum(2)[:, rows] for each in settled]
     rig.keeper.dark("the blink test has ended")
     return _blink_pictures(switches, pictures, steady, (np.diff(np.array(arrivals)), queued / max(len(arrivals), 1)))
@@ -239,7 +238,7 @@ def _blink_pictures(
         share = share if on else 1 - share
         values.append((arrived_s - at_s, at_s, late_s, share.min(), share.max()))
     columns = np.array(values).reshape(-1, 5).T
-    return BlinkPictures(columns[0], columns[1], columns[2], columns[3], columns[4], seen, *came)
+    return BlinkPictures(*columns, seen=seen, intervals_s=came[0], queued=came[1])
 
 
 def _between(lag_s: Array, after: Mask, reach_s: float) -> float:

@@ -11,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Protocol, cast
+from typing import Annotated, cast
 
 from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError
 from torch import Tensor
@@ -68,27 +68,18 @@ METHODS = ("samples", "close")
 MOST = 1000  # newest samples in the queue
 
 
-class Ego(Protocol):
-    """A vehicle's sensors."""
+class Ego:
+    """A vehicle's sensors; this one has none, as on a standing vehicle."""
 
     def samples(self, like: Tensor) -> tuple[Sample, ...]:
         """Samples since the last call, with times of `time.monotonic`; tensors have the dtype and device of `like`."""
-        ...
-
-    def close(self) -> None: ...
-
-
-class NoEgo:
-    """A standing vehicle without sensors."""
-
-    def samples(self, like: Tensor) -> tuple[Sample, ...]:
         return ()
 
     def close(self) -> None:
-        return None
+        """Release the port or device."""
 
 
-class UdpEgo:
+class UdpEgo(Ego):
     """Samples from UDP datagrams of JSON, received in a thread. refused: number of invalid datagrams."""
 
     def __init__(self, params: UdpEgoParams) -> None:
@@ -132,7 +123,7 @@ def open_ego(params: Egos) -> Ego:
     """The sensors of a rig file. Raises LuxloopError if they cannot be opened."""
     match params:
         case NoEgoParams():
-            return NoEgo()
+            return Ego()
         case UdpEgoParams():
             return UdpEgo(params)
     return cast(Ego, plugin.make(params.kind, KEY, {}, params.options, METHODS))

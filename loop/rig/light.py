@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,33 +39,18 @@ class Shine:
         return float(sum(u.sum() for u in self.net_pictures) / sum(u.size for u in self.pictures))
 
 
-class LightDevice(Protocol):
-    """A light device. `show` with the same number repeats the light, as a sign of life."""
+class LightDevice:
+    """A light device; this one lights nothing, as in a dry run. `show` with the same number repeats the light, as a sign of life."""
 
     def show(self, shine: Shine) -> str | None:
         """Send light. Returns after all of it was sent: None, or the reason why it may not be shown."""
-        ...
+        return None
 
     def dark(self) -> None:
         """Darken the lamp. Never raises."""
-        ...
 
     def close(self) -> None:
         """Close the device, which is dark. Never raises."""
-        ...
-
-
-class NoLight:
-    """Light device of a dry run: nothing is lit."""
-
-    def show(self, shine: Shine) -> str | None:
-        return None
-
-    def dark(self) -> None:
-        return None
-
-    def close(self) -> None:
-        return None
 
 
 def places(scan: ScanParams, rows: int, columns: int) -> Indices:

@@ -23,7 +23,7 @@ METHODS = ("show", "dark", "close")
 FAREWELLS = 3  # dark frames at the end, since a packet may be lost
 
 
-class DdpLight:
+class DdpLight(LightDevice):
     """A lamp on the network.
 
     The time code of an exposure is its number plus the number of times that the lamp was darkened before.
@@ -80,7 +80,7 @@ class DdpLight:
 PICTURE, ABOUT = "light.png", "light.json"
 
 
-class FilesLight:
+class FilesLight(LightDevice):
     """Each light atomically replaces `light.png`, then `light.json` with number and commands."""
 
     def __init__(self, params: FilesLightParams) -> None:
@@ -107,9 +107,6 @@ class FilesLight:
         self._number = -1
         with suppress(LuxloopError):
             self._write(codes_of(np.zeros(self._shape), self._params.bits), {"number": None, "modules": []})
-
-    def close(self) -> None:
-        return None
 
     def _write(self, codes: Codes, about: dict[str, object]) -> None:
         with whole(self._params.folder / PICTURE) as part:

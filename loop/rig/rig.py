@@ -15,7 +15,7 @@ from luxloop.loop.rig.camera import Camera, CameraPicture
 from luxloop.loop.rig.cameras import opener
 from luxloop.loop.rig.ego import Ego, open_ego
 from luxloop.loop.rig.keeper import Keeper
-from luxloop.loop.rig.light import LightDevice, LimitedLight, NoLight, Picture, Shine, limit
+from luxloop.loop.rig.light import LightDevice, LimitedLight, Picture, Shine, limit
 from luxloop.loop.rig.lights import open_light
 from luxloop.loop.rig.matching import CODES, draw_mark, limits_beside_mark, read_mark, shows
 from luxloop.loop.rig.params import LimitParams, RigParams
@@ -274,7 +274,7 @@ def open_rig(params: RigParams, grids: Grids, camera: CameraParams | None, *, ar
         stack.callback(ego.close)
         watched = Camera(opener(params.camera), params.camera.timeout_s)
         stack.callback(watched.close)
-        light: LightDevice = open_light(params.light, grids) if armed else NoLight()
+        light = open_light(params.light, grids) if armed else LightDevice()
         keeper = Keeper(light, params.light, params.limits.loop_s, lambda: None if watched.alive else watched.reason)
         stack.callback(keeper.close)
         yield Rig(params, armed, light, keeper, watched, ego, rectify, limits)

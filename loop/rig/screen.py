@@ -17,7 +17,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from luxloop.loop.rig.arrays import Grids, Image
-from luxloop.loop.rig.light import Shine, places
+from luxloop.loop.rig.light import LightDevice, Shine, places
 from luxloop.loop.rig.params import ScreenLightParams
 from luxloop.loop.rig.wire.ddp import codes_of
 from luxloop.loop.rig.wire.sockets import is_own_host, listening
@@ -49,7 +49,7 @@ def message_of(number: int, codes: Image) -> bytes:
     return HEAD.pack(number % 2**32, codes.shape[1], codes.shape[0]) + codes.tobytes()
 
 
-def understood(message: bytes) -> tuple[int, Image]:
+def parse_message(message: bytes) -> tuple[int, Image]:
     """Number and picture `[height, width]` of a message. Raises ValueError for other bytes."""
     if len(message) < HEAD.size:
         raise ValueError(f"a message of {len(message)} bytes has no head")
@@ -62,7 +62,7 @@ LARGEST_ANSWER = 1000  # bytes
 CONFIRMED_S = 0.5  # time-out of a page's confirmation
 
 
-class ScreenLight:
+class ScreenLight(LightDevice):
     """Server of the page. The latest page to connect shows the light; a frame counts as shown once this page has confirmed it.
 
     answer: confirmation of the newest frame: its number, and drawn_ms, presented_ms and now_ms by the page's clock.

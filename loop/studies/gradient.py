@@ -78,7 +78,7 @@ class Surrogate:
         noise = torch.stack([each[-FINAL:].std(0, correction=0) for each in offsets if len(each) >= min(most, FINAL)]).amin(0)
         return cls(torch.cat(poses), torch.cat(offsets), noise)
 
-    def predicted(self, simulation: Simulation, values: dict[str, Tensor], noise: Tensor) -> Rollout:
+    def predict(self, simulation: Simulation, values: dict[str, Tensor], noise: Tensor) -> Rollout:
         """Predicted runs, differentiable in the gains, without rendering. values: gains `[B]` by key. noise: `[steps, B, 4]`, standard
         normal.
         """
@@ -163,7 +163,7 @@ def descend(task: Task, simulations: Sequence[Simulation], before: Sequence[Iter
     for _ in range(STEPS):
         adam.zero_grad()
         values = {each.key: _value(each, logits[:, k]).float().repeat(DRAWS).to(task.device) for k, each in enumerate(task.ranges)}
-        predicted = [scene.predicted(each, values, noise.to(task.device)) for scene, each in zip(scenes, simulations, strict=True)]
+        predicted = [scene.predict(each, values, noise.to(task.device)) for scene, each in zip(scenes, simulations, strict=True)]
         losses = torch.stack([loss(rollout, each) for rollout, each in zip(predicted, simulations, strict=True)])
         means = losses.view(-1, STARTS).mean(0)
         if means.min() < least:

@@ -30,7 +30,7 @@ from luxloop.loop.simulation.lamps import LampPower, mean_powers
 from luxloop.loop.simulation.result import Rollout
 from luxloop.loop.simulation.simulated import SimulatedPlant, world_plant
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studies.batch.copies import Copies, Taken, refuse_first, refuse_scenario, stack
+from luxloop.loop.studies.batch.copies import Conditions, Copies, refuse_first, refuse_scenario, stack
 from luxloop.loop.studies.batch.rollouts import loops, stack_laws
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.perception.metrics import Metrics
@@ -233,7 +233,7 @@ def _steps(copies: Copies, simulations: Sequence[Simulation]) -> tuple[list[_Ste
     looks, shown, searching = list[list[Measurement]](), list[tuple[Tensor, Metrics | None]](), set[int]()
 
     def look(projection: ProjectionCommand, step: int) -> Measurement:
-        light, frames = copies.show(projection), [Taken(each.seed, step, each.disturbances) for each in plants]
+        light, frames = copies.show(projection), [Conditions(each.seed, step, each.disturbances) for each in plants]
         seen = copies.measure(light, frames)
         for k, each in enumerate(plants):
             if each.loses(step):

@@ -167,19 +167,19 @@ class Tuning:
     study: optuna.Study
 
     @property
-    def finished(self) -> list[optuna.trial.FrozenTrial]:
+    def trials(self) -> list[optuna.trial.FrozenTrial]:
         """Trials that are complete or pruned."""
         return self.study.get_trials(deepcopy=False, states=FINISHED)
 
     @property
     def failures(self) -> list[str]:
         """Reasons of failed runs; a failed run costs `luxloop.loop.studies.objective.FAILED` in each term."""
-        return [why for trial in self.finished for why in trial.user_attrs.get(FAILURES, [])]
+        return [why for trial in self.trials for why in trial.user_attrs.get(FAILURES, [])]
 
     @property
     def never_settles(self) -> bool:
         """Whether the objective weights settling, and no run has settled."""
-        attributes = [self.study.user_attrs, *(trial.user_attrs for trial in self.finished)]
+        attributes = [self.study.user_attrs, *(trial.user_attrs for trial in self.trials)]
         return "settling" in self.task.objective.weights and not any(each.get(SETTLED) for each in attributes)
 
     @property

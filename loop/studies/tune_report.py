@@ -59,7 +59,7 @@ def write(tuned: Tuning, out: Path) -> None:
 def page(tuned: Tuning) -> str:
     """The study as Markdown."""
     task = tuned.task
-    pruned = sum(trial.state == TrialState.PRUNED for trial in tuned.finished)
+    pruned = sum(trial.state == TrialState.PRUNED for trial in tuned.trials)
     importances = _importances(tuned)
     *of_keys, (_, *costs) = _rows(tuned)
     rows = [
@@ -68,7 +68,7 @@ def page(tuned: Tuning) -> str:
     ]
     terms = "".join(f"- `{name}`: {objective.TERMS[name][2]}\n" for name in task.objective.weights)
     names = ", ".join(each.name for each in task.scenarios)
-    what = f"{len(tuned.finished)} trials ({pruned} pruned halfway) of {names} with {task.seeds} seeds each.{_notes(tuned)}"
+    what = f"{len(tuned.trials)} trials ({pruned} pruned halfway) of {names} with {task.seeds} seeds each.{_notes(tuned)}"
     table = tables.markdown_table(("key", "range", "given", "best", "importance"), [*rows, ["cost", "", *costs, ""]], "llr")
     return f"# Tuning\n\n{what} The cost is `{task.objective}`:\n\n{terms}\n{table}\n\n![History, and cost over each key]({PICTURE})\n"
 

@@ -74,12 +74,6 @@ class AskBeam(FromClient):
     step: Number | None = None
 
 
-class AskSchema(FromClient):
-    """Request the schema of the scenario model."""
-
-    type: Literal["schema"]
-
-
 class Acknowledge(FromClient):
     """A step was shown. id: of its message. While two steps of a run are not shown, no other is sent."""
 
@@ -88,9 +82,11 @@ class Acknowledge(FromClient):
 
 
 class Button(FromClient):
-    """Take the pen (control), play, pause, do a step, restart, undo or redo edits, request the current scenario."""
+    """Take the pen (control), play, pause, do a step, restart, undo or redo edits, request the current scenario or the schema of its
+    model.
+    """
 
-    type: Literal["pen", "play", "pause", "step", "reset", "undo", "redo", "save"]
+    type: Literal["pen", "play", "pause", "step", "reset", "undo", "redo", "save", "schema"]
 
 
 class Speed(FromClient):
@@ -182,7 +178,7 @@ class Wish(FromClient):
 
 Message = (
     Hello
-    | (Want | Scrub | AskSummary | AskBeam | AskSchema | Acknowledge)
+    | (Want | Scrub | AskSummary | AskBeam | Acknowledge)
     | (Button | Speed | Open | Set | Record | Compare | Drive | Paint | Place | Wish)
 )
 ARRAYS: Mapping[str, Mapping[str, tuple[str, ...]]] = {  # dtypes of messages with a body, by type and name

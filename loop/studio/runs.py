@@ -52,10 +52,10 @@ LONGEST_REST_S = 1.0  # longest interval of pictures, for driving
 class Run:
     """Steps of one simulation, with what clients show of them.
 
-    The stepping thread adds to `snapshots`, `rows`, `edits`, `told` and `meshes`, which others read; nothing is removed but light and
-    pictures of old snapshots. rows: of a repeated recording those of all its steps; replaced when an edit ends the repetition. told: edits
-    sent to clients, all but those of driving. columns: of the rows; later rows may have more. recorder: None while nothing is recorded.
-    label: for the page.
+    The stepping thread adds to `snapshots`, `rows`, `edits`, `client_edits` and `meshes`, which others read; nothing is removed but light
+    and pictures of old snapshots. rows: of a repeated recording those of all its steps; replaced when an edit ends the repetition.
+    client_edits: edits sent to clients, all but those of driving. columns: of the rows; later rows may have more. recorder: None while
+    nothing is recorded. label: for the page.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class Run:
         self.playback = playback
         self.columns = _numbers(simulation) if playback is None else playback.columns(_numbers(simulation))
         self.meshes, self.snapshots = Meshes(), list[Snapshot]()
-        self.told = list[Edit]()
+        self.client_edits = list[Edit]()
         self.rows = list[np.ndarray]() if playback is None else playback.rows(self.columns)
         self.step_ms = float("nan")
         self._state = simulation.start()
@@ -97,7 +97,7 @@ class Run:
     def step(self, wanted: Collection[View], still: bool = True) -> Evaluation:
         """Do a step. wanted: contents that clients show. still: whether the run pauses afterwards, with time for pictures."""
         if self._below is not None or self._next is not None:
-            self.snapshots[-1] = self._taken(*self._made, self.snapshots[-1], wanted)
+            self.snapshots[-1] = self._take_snapshot(*self._made, self.snapshots[-1], wanted)
         while self.playback is not None and (due := self.playback.due(len(self.snapshots))) is not None:
             self._go_on(self.prepare_edit(repeat(self.simulation.scenario, due)), due.overrides, due.driven)
         began_s = time.perf_counter()
@@ -109,7 +109,7 @@ class Run:
         looks = set(wanted) if rests or time.perf_counter() >= self._look_s else set(wanted) - {"camera"}
         began_s = time.perf_counter()
         before = self.snapshots[-1] if self.snapshots else None
-        taken = self._taken(self.simulation, result, before, looks)
+        taken = self._take_snapshot(self.simulation, result, before, looks)
         if "camera" in looks:
             self._look_s = time.perf_counter() + min(REST * (time.perf_counter() - began_s), LONGEST_REST_S)
         values = (self.recorder or self.tally).add(result)
@@ -173,7 +173,7 @@ class Run:
                 _, following = self.simulation.step(self._state)
             self._next = self.simulation, replace(self.simulation.evaluate(following, self._made[1]), step=self._made[1].step)
         seen = self._next or (self._made[0], self._repaint())
-        self.snapshots[-1] = self._taken(*seen, self.snapshots[-1], wanted)
+        self.snapshots[-1] = self._take_snapshot(*seen, self.snapshots[-1], wanted)
 
     def _repaint(self) -> Evaluation:
         """Last result with the current paint."""
@@ -184,7 +184,7 @@ class Run:
         lights = (self.simulation.planner.paint(each.name, below).u for each, below in zip(simulation.modules, self._below, strict=True))
         return replace(result, lights=tuple(lights))
 
-    def _taken(self, simulation: Simulation, result: Evaluation, before: Snapshot | None, wanted: Collection[View]) -> Snapshot:
+    def _take_snapshot(self, simulation: Simulation, result: Evaluation, before: Snapshot | None, wanted: Collection[View]) -> Snapshot:
         self._bodies = bodies_at(simulation, result.time_s, self._bodies)
         return snapshot(simulation, result, self.meshes.assign(self._bodies.placed), before, wanted)
 
@@ -213,16 +213,16 @@ class Run:
             self.highlights.edit(self.simulation)
             known = {each.name for each in self.columns}
             self.columns = [*self.columns, *(each for each in _numbers(self.simulation) if each.name not in known)]
-            if self.told and replaces(edit, self.told[-1]):  # a picture of many strokes is stored once
-                self.told[-1] = edit.model_copy(update={"overrides": ()})
-            self.told.append(edit)
+            if self.client_edits and replaces(edit, self.client_edits[-1]):  # a picture of many strokes is stored once
+                self.client_edits[-1] = edit.model_copy(update={"overrides": ()})
+            self.client_edits.append(edit)
         (self.recorder or self.tally).edit(self.simulation, edit)
         edits = self.tally.edits
         first = next((k for k, each in enumerate(edits) if each.step == edit.step), len(edits))
         if len(edits) - first > MOST_EDITS:
             with suppress(LuxloopError):  # not every change is a value of a key
                 edits[first:] = [Edit(step=edit.step, overrides=differences(self._reached[1], scenario))]
-                self.told[:-1] = [each.model_copy(update={"overrides": ()}) for each in self.told[:-1]]
+                self.client_edits[:-1] = [each.model_copy(update={"overrides": ()}) for each in self.client_edits[:-1]]
 
     def _forget(self, number: int) -> None:
         old, after = self.snapshots[number : number + 2]

@@ -27,7 +27,6 @@ from luxloop.loop.studio.messages import (
     PROTOCOL,
     Acknowledge,
     AskBeam,
-    AskSchema,
     AskSummary,
     Button,
     Drive,
@@ -195,7 +194,7 @@ class Studio:
                 client.request = replace(client.request, at=None if step is None else (message.run, step))
             case Acknowledge(id=id_):
                 client.request = replace(client.request, shown=max(client.request.shown, id_))
-            case AskSummary() | AskBeam() | AskSchema():
+            case AskSummary() | AskBeam() | Button(type="schema"):
                 self._inquire(client, message)
             case Button(type="pen"):
                 self._let_go()

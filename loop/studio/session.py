@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from luxloop.loop.studio.messages import (
     VIEWS,
     AskBeam,
-    AskSchema,
     AskSummary,
     Button,
     Compare,
@@ -77,7 +76,7 @@ class SessionState:
     @property
     def edits(self) -> list[int]:
         """Number of edits of each run that are sent to clients."""
-        return [len(run.told) for run in self.runs]
+        return [len(run.client_edits) for run in self.runs]
 
 
 @dataclass(frozen=True)
@@ -266,7 +265,7 @@ class Session:
                 self._compare(message)
             case AskSummary(run=number):
                 task.reply({"type": "summary", "run": number, "summary": self._run(number).summary()})
-            case AskSchema():
+            case Button(type="schema"):
                 task.reply({"type": "schema", "schema": _schema()})
             case AskBeam() as beam:
                 task.reply({**beam.model_dump(exclude={"ask"}), "points": self._run(beam.run).beam(beam.rule, beam.side, beam.step)})

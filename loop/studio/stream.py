@@ -30,7 +30,7 @@ class Stream:
 
     def __init__(self) -> None:
         self._number, self._id, self._rests_s = -1, 0, 0.0
-        self._sent, self._blocks = list[SentRun](), Blocks()
+        self._sent, self._blocks = list[RunStream](), Blocks()
 
     def close(self) -> None:
         """Release the shared memory."""
@@ -55,7 +55,7 @@ class Stream:
     def _newer(self, state: SessionState, request: Request, resting: bool) -> Iterator[bytes]:
         if state.number != self._number and state.scenario is not None:
             self._number = state.number
-            self._sent = [SentRun(number, run, self._blocks) for number, run in enumerate(state.runs)]
+            self._sent = [RunStream(number, run, self._blocks) for number, run in enumerate(state.runs)]
             yield pack(state.scenario)
         for sent in self._sent:
             rows, done = sent.run.rows, len(sent.run.rows)
@@ -70,7 +70,7 @@ class Stream:
                     yield data
 
 
-class SentRun:
+class RunStream:
     """Contents of one run that a client has. ids: of the sent steps not known to be shown. blocks: the client's shared memory."""
 
     def __init__(self, number: int, run: Run, blocks: Blocks) -> None:
@@ -90,7 +90,7 @@ class SentRun:
 
     def edits(self) -> Iterator[bytes]:
         """Edits that the client lacks; the newest one has the current model and facts."""
-        fresh = self.run.told[self._edits :]
+        fresh = self.run.client_edits[self._edits :]
         self._edits += len(fresh)
         for left, edit in zip(range(len(fresh) - 1, -1, -1), fresh, strict=True):
             model = None if left else self.run.simulation.scenario.model_dump(mode="json")

@@ -288,11 +288,6 @@ export interface BeamRequest {
   step?: number | null;
 }
 
-export interface SchemaRequest {
-  ask?: number | null;
-  type: "schema";
-}
-
 export interface AcknowledgeRequest {
   ask?: number | null;
   type: "shown";
@@ -301,7 +296,7 @@ export interface AcknowledgeRequest {
 
 export interface ButtonRequest {
   ask?: number | null;
-  type: "pen" | "play" | "pause" | "step" | "reset" | "undo" | "redo" | "save";
+  type: "pen" | "play" | "pause" | "step" | "reset" | "undo" | "redo" | "save" | "schema";
 }
 
 export interface SpeedRequest {
@@ -372,4 +367,4 @@ export interface WishRequest {
 
 export type ServerMessage = ScenarioMessage | ChoicesMessage | MeshesMessage | StepMessage | RowsMessage | StatusMessage | WelcomeMessage | ErrorMessage | ProgressMessage | EditMessage | SavedMessage | SchemaMessage | SummaryMessage | BeamMessage | PlaceMessage | WishMessage;
 
-export type ClientMessage = HelloRequest | WantRequest | ScrubRequest | SummaryRequest | BeamRequest | SchemaRequest | AcknowledgeRequest | ButtonRequest | SpeedRequest | OpenRequest | SetRequest | RecordRequest | CompareRequest | DriveRequest | PaintRequest | PlaceRequest | WishRequest;
+export type ClientMessage = HelloRequest | WantRequest | ScrubRequest | SummaryRequest | BeamRequest | AcknowledgeRequest | ButtonRequest | SpeedRequest | OpenRequest | SetRequest | RecordRequest | CompareRequest | DriveRequest | PaintRequest | PlaceRequest | WishRequest;

@@ -147,11 +147,11 @@ def measure_response(shots: Shots, sizes: Sequence[int]) -> Array:
     """
     times = shots.setup.exposures_s
     if len(times) >= 3:
-        frames = [shots.frames("response", _uniform(sizes, 1.0), AVERAGED, each).mean(0) for each in times]
-        black = shots.frames("black", _uniform(sizes, 0.0), AVERAGED, times[0]).mean(0)
-        return response_curve([black, *frames], [0.0, *times], shots.setup.levels)
-    frames = [shots.frames(f"response_{100 * u:.0f}", _uniform(sizes, u), AVERAGED, times[-1]).mean(0) for u in LADDER]
-    return response_curve(frames, LADDER, shots.setup.levels)
+        series = [("black", 0.0, times[0], 0.0), *(("response", 1.0, each, each) for each in times)]
+    else:
+        series = [(f"response_{100 * u:.0f}", u, times[-1], u) for u in LADDER]
+    frames = [shots.frames(name, _uniform(sizes, u), AVERAGED, exposure_s).mean(0) for name, u, exposure_s, _ in series]
+    return response_curve(frames, [ratio for *_, ratio in series], shots.setup.levels)
 
 
 def calibrate_poses(

@@ -9,7 +9,7 @@ import torch
 from scipy.ndimage import median_filter
 
 from luxloop.loop.rig.arrays import Array, Indices, Mask
-from luxloop.loop.rig.calibration.geometry import Geometry, Observation, adjust
+from luxloop.loop.rig.calibration.geometry import Geometry, Observation, adjust, lux_per_cd
 from luxloop.loop.rig.calibration.lamp import grid_over, headlight
 from luxloop.loop.rig.calibration.shapes import PixelMeasurements, Windows, combs, measure, windows
 from luxloop.loop.rig.calibration.shots import Shots
@@ -205,10 +205,8 @@ def sensor(across: Array, along: Array) -> Array:
 def lux(light: Headlight, T_lamp: Array, points: Array, normal: Array) -> float:
     """Mean illuminance in lx at points `[n, 3]` m of a surface, with all pixels of a module on. T_lamp: pose of the module, `[4, 4]`."""
     away = points - T_lamp[:3, 3]
-    distance = np.linalg.norm(away, axis=1)
-    cos = np.abs(away @ normal) / distance
     intensity = light.intensity(light.light_texture(torch.ones(light.n_pixels)), torch.from_numpy((away @ T_lamp[:3, :3]).T.copy()))
-    return float((intensity.numpy() * cos / distance**2).mean())
+    return float((intensity.numpy() * lux_per_cd(points, T_lamp[:3, 3], normal)).mean())
 
 
 def _place_lamp(geometry: Geometry, nominal: Nominal, chart: Chart) -> Geometry:

@@ -268,10 +268,14 @@ def candela_factor(geometry: Geometry, shape: tuple[int, int], reflectance: Call
     v, u = np.indices(shape) + 0.5
     points = geometry.on_screen(u, v)
     normal = geometry.screen.rotation[:, 2]
-    away = geometry.lamp.place - points
-    distance = np.linalg.norm(away, axis=-1)
-    cos = np.abs(away @ normal) / distance
     seen = np.abs(points @ normal) / np.linalg.norm(points, axis=-1)
     if (normal @ (geometry.lamp.place - geometry.screen.place)) * (normal @ -geometry.screen.place) <= 0:
         raise LuxloopError("lamp and camera are on different sides of the screen; look at its pose, and at the lamp's")
-    return np.pi * distance**2 / (cos * reflectance(seen))
+    return np.pi / (lux_per_cd(points, geometry.lamp.place, normal) * reflectance(seen))
+
+
+def lux_per_cd(points: Array, lamp: Array, normal: Array) -> Array:
+    """Illuminance in lx per cd at points `[..., 3]` m of a surface, `cos / d^2`. lamp: position `[3]` m. normal: of the surface, `[3]`."""
+    away = points - lamp
+    distance = np.linalg.norm(away, axis=-1)
+    return np.asarray(np.abs(away @ normal) / distance**3)

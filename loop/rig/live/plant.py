@@ -26,7 +26,7 @@ from torch import Tensor
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.rig.arrays import Array, Data, Image
 from luxloop.loop.rig.calibration.calibrate import Calibration
-from luxloop.loop.rig.calibration.geometry import Geometry, on_plane
+from luxloop.loop.rig.calibration.geometry import Geometry, lux_per_cd, on_plane
 from luxloop.loop.rig.calibration.intrinsics import brightness
 from luxloop.loop.rig.calibration.shots import luminous
 from luxloop.loop.rig.params import RigParams
@@ -184,10 +184,8 @@ def _falling(geometry: Geometry, y: Array, z: Array) -> tuple[Array, Array]:
     zz, yy = np.meshgrid(z, y, indexing="ij")
     rays = np.stack([np.ones(yy.size), yy.ravel(), zz.ravel()], -1) @ lamp.rotation.T
     places = on_plane(rays, lamp.place, screen)
-    away = places - lamp.place
-    distance = np.linalg.norm(away, axis=1)
-    cos = np.abs(away @ screen.rotation[:, 2]) / distance
-    return places, np.where((away * rays).sum(1) > 0, distance**2 / cos, 0.0)
+    forward = ((places - lamp.place) * rays).sum(1) > 0
+    return places, np.where(forward, 1 / lux_per_cd(places, lamp.place, screen.rotation[:, 2]), 0.0)
 
 
 DARKS = 8  # dark frames before the run, whose mean is subtracted

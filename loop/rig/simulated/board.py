@@ -4,11 +4,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Self
+from typing import Self
 
 import cv2
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 
 from luxloop.loop.rig.arrays import Array, Image
 from luxloop.loop.rig.calibration.digitise import lux, sensor
@@ -99,9 +100,8 @@ def board_pose(board: BoardParams, camera: CameraParams, pose: int) -> Array:
     width, height = _size_m(board)
     way, tilt = GOLDEN_RAD * pose, math.radians(TILTS_DEG[pose % len(TILTS_DEG)])
     roll = math.radians(ROLL_DEG) * math.sin(1.7 * pose)
-    tilted: Any = cv2.Rodrigues(tilt * np.array([math.cos(way), math.sin(way), 0.0]))[0]
-    rolled: Any = cv2.Rodrigues(np.array([0.0, 0.0, roll]))[0]
-    turn = tilted @ rolled
+    tilted = Rotation.from_rotvec([tilt * math.cos(way), tilt * math.sin(way), 0.0])
+    turn = (tilted * Rotation.from_rotvec([0.0, 0.0, roll])).as_matrix()
     focal = focal_px(camera)
     depth = focal * max(height / camera.height_px, width / camera.width_px) / FILLED[pose % len(FILLED)]
     aside = np.array([ASIDE[pose % 3] * camera.width_px, ASIDE[pose // 3 % 3] * camera.height_px, focal]) * depth / focal
@@ -149,9 +149,7 @@ def _lying(point: Array, normal: Array, size_m: tuple[float, float]) -> Array:
 
 
 def _pose(turn: Array, place: Array) -> Array:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = turn, place
-    return T
+    return np.vstack([np.column_stack([turn, place]), [0, 0, 0, 1]])
 
 
 def _size_m(board: BoardParams) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
 from luxloop.loop.rig.arrays import Grids
-from luxloop.loop.rig.screen import DARK, HEAD, split_picture, understood
+from luxloop.loop.rig.screen import DARK, HEAD, parse_message, split_picture
 from luxloop.loop.rig.simulated.faults import LightInputParams
 from luxloop.loop.rig.wire.ddp import LARGEST_PACKET, Assembler, LightFrame
 from luxloop.loop.rig.wire.sockets import REFUSED, udp_listener
@@ -221,7 +221,7 @@ class ScreenInput:
             return
         began_s = time.monotonic()
         try:
-            number, picture = understood(message)
+            number, picture = parse_message(message)
             codes = split_picture(picture, self._grids)
         except ValueError:
             self._counts["refused"] += 1

@@ -75,8 +75,8 @@ def refuse_scenario(scenario: Scenario, otherwise: str = ONE_BY_ONE) -> None:
 
 
 @dataclass(frozen=True)
-class Taken:
-    """Frames of a copy: their seed and step, and the scenario's disturbances."""
+class Conditions:
+    """Conditions of a copy's frames: seed of the noise, step, and the scenario's disturbances."""
 
     seed: int
     step: int
@@ -179,7 +179,7 @@ class Copies:
             sums.append(torch.stack([u @ each for u, each in zip(lights, weights, strict=True)]))
         return SymbolLight(projection, part, footprints, windows, torch.stack(added), torch.stack(flat), torch.stack(sums), drawn)
 
-    def measure(self, light: SymbolLight, frames: Sequence[Taken], *, quantise: bool = True) -> list[Measurement]:
+    def measure(self, light: SymbolLight, frames: Sequence[Conditions], *, quantise: bool = True) -> list[Measurement]:
         """Measurements of each copy in its own footprint. frames: of each copy. quantise: False leaves digital numbers unrounded, for
         gradients.
         """
@@ -199,7 +199,7 @@ class Copies:
         found = [evaluate(each, evaluator.plane, evaluator.goal, crop.u_start, crop.v_start) for each in light.added.split(TOGETHER)]
         return Metrics(*(torch.cat(each) for each in zip(*(vars(each).values() for each in found), strict=True)))
 
-    def finds_another_road(self, light: SymbolLight, k: int, taken: Taken) -> bool:
+    def finds_another_road(self, light: SymbolLight, k: int, conditions: Conditions) -> bool:
         """Whether a single run finds another road than the plane z = 0 in the frames of the k-th copy, by the rule of `Lifting`."""
         height, width = self.view.base.shape
         on = self._resting.clone()
@@ -208,7 +208,7 @@ class Copies:
             Utilisation(module.pixel_controller.default.index_copy(0, part.pixels, u))
             for module, part, u in zip(self.projector.modules, light.part.modules, light.drawn[k], strict=True)
         ]
-        found = self.sensor.relocalise(self._expose(on, self._resting, self.view.base, taken, Crop(0, height, 0, width)), lights)
+        found = self.sensor.relocalise(self._expose(on, self._resting, self.view.base, conditions, Crop(0, height, 0, width)), lights)
         risen = found.shape[0].abs() > self.sensor.params.footprint_margin_m
         return bool(found.match > SURE) and bool(found.found) and bool(risen)
 
@@ -217,17 +217,17 @@ class Copies:
         """Luminance `[height, width]` in cd/m^2 without the symbols."""
         return added_light(self.view.transports, self.resting, self.view.base)
 
-    def _look(self, light: SymbolLight, chosen: Sequence[int], frames: Sequence[Taken], quantise: bool) -> list[Measurement]:
-        """Measurements of some copies at once, their windows taken as crops at the place of the first window."""
+    def _look(self, light: SymbolLight, chosen: Sequence[int], frames: Sequence[Conditions], quantise: bool) -> list[Measurement]:
+        """Measurements of some copies at once, their windows conditions as crops at the place of the first window."""
         part, windows = light.part, [light.windows[k] for k in chosen]
         parts, own = [], []  # frames, and flat light with threshold; footprint in the window
-        for k, window, taken in zip(chosen, windows, frames, strict=True):
+        for k, window, conditions in zip(chosen, windows, frames, strict=True):
             at, footprint = part.within(window), light.footprints[k].slices
             inside = [
                 slice(each.start - start, each.stop - start)
                 for each, start in zip(footprint, (window.v_start, window.u_start), strict=True)
             ]
-            on, off = self._expose(part.resting[at] + light.added[k][at], part.resting[at], part.base[at], taken, window, quantise)
+            on, off = self._expose(part.resting[at] + light.added[k][at], part.resting[at], part.base[at], conditions, window, quantise)
             beside = torch.ones_like(on, dtype=torch.bool)
             beside[*inside] = False
             parts.append((torch.where(beside, off, on), off, light.flat[k][at].masked_fill(beside, 0.0), part.limit[at]))
@@ -255,14 +255,16 @@ class Copies:
             for n, inside in enumerate(own)
         ]
 
-    def _expose(self, on: Tensor, off: Tensor, base: Tensor, taken: Taken, crop: Crop, quantise: bool = True) -> tuple[Tensor, Tensor]:
+    def _expose(
+        self, on: Tensor, off: Tensor, base: Tensor, conditions: Conditions, crop: Crop, quantise: bool = True
+    ) -> tuple[Tensor, Tensor]:
         """On and off frames of luminances `[h, w]` at a crop of the image. base: luminance without the lamps."""
-        camera, noisy = self.simulation.scenario.camera, taken.disturbances.noise_factor(taken.step)
+        camera, noisy = self.simulation.scenario.camera, conditions.disturbances.noise_factor(conditions.step)
 
         def frame(number: int, luminance: Tensor) -> Tensor:
-            ambient = taken.disturbances.ambient_factor(taken.step, number)
+            ambient = conditions.disturbances.ambient_factor(conditions.step, number)
             luminance = luminance if ambient == 1 else luminance + (ambient - 1) * base
-            noise = FrameNoise.of(taken.seed, taken.step, number).part(crop.slices, luminance) if camera.noise else None
+            noise = FrameNoise.of(conditions.seed, conditions.step, number).part(crop.slices, luminance) if camera.noise else None
             return expose(luminance, camera, noise if noise is None or noisy == 1 else noisy * noise, quantise=quantise)
 
         return frame(0, on), frame(1, off)

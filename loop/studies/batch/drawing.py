@@ -70,12 +70,12 @@ class ModulePart:
 
 def utilisations(drawn: WindowedSsc, rays: RayBatch) -> Iterator[Tensor]:
     """Utilisations `[m]` of the pixels for each primitive in turn, as `WindowedSsc.utilisation` of one."""
-    images = _sampled(drawn, rays) if _plain(drawn, rays) else _painted(drawn, rays)
+    images = _sample(drawn, rays) if _plain(drawn, rays) else _paint(drawn, rays)
     for image in images:
         yield multiply(drawn.weight, image.flatten()).clamp(0, 1)
 
 
-def _painted(drawn: WindowedSsc, rays: RayBatch) -> Iterator[Tensor]:
+def _paint(drawn: WindowedSsc, rays: RayBatch) -> Iterator[Tensor]:
     """Setpoints `[rows, cols]` of the window for each primitive in turn, by rays of any kind, with gradients."""
     height, width = (each.stop - each.start for each in drawn.window.slices)
     strokes = rays.strokes()
@@ -96,7 +96,7 @@ def _plain(drawn: WindowedSsc, rays: RayBatch) -> bool:
     return sampled and absolute and None not in rays.front and True not in rays.is_mask and not primitives.origin.requires_grad
 
 
-def _sampled(drawn: WindowedSsc, rays: RayBatch) -> Iterator[Tensor]:
+def _sample(drawn: WindowedSsc, rays: RayBatch) -> Iterator[Tensor]:
     """Setpoints `[rows, cols]` of the window for each primitive in turn, in few passes over bands of rows. The image yielded is reused."""
     grid, primitives, window = rays.grid, rays.primitives, drawn.window
     y, z = grid.tangents(primitives.origin.dtype, primitives.origin.device)

@@ -17,7 +17,7 @@ from luxloop.controllers.symbol.stages import Lifting
 from luxloop.loop.simulation.result import Rollout
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.batch import copies
-from luxloop.loop.studies.batch.copies import Copies, Taken, stack
+from luxloop.loop.studies.batch.copies import Conditions, Copies, stack
 from luxloop.perception.appearance import DEGREES
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError, did_you_mean
@@ -68,7 +68,7 @@ def rollouts(simulation: Simulation, values: dict[str, Tensor], *, quantise: boo
     many, seed, disturbances = Copies(simulation), simulation.scenario.seed, simulation.scenario.disturbances
 
     def look(projection: ProjectionCommand, step: int) -> Measurement:
-        frames = [Taken(seed, step, disturbances)] * len(projection.pose)
+        frames = [Conditions(seed, step, disturbances)] * len(projection.pose)
         return stack(many.measure(many.show(projection), frames, quantise=quantise))
 
     return rollouts_by(look, simulation, values)

@@ -1,7 +1,6 @@
 """Contract of a user's own plant."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from torch import Tensor
@@ -55,34 +54,27 @@ def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: s
 
 def _check_shows(own: Guard, simulation: Simulation, exposures: int) -> None:
     """Check a plant in one world with a number of exposures. Raises LuxloopError as `check_plant`."""
-    shown: list[Show] = []
-    projector, scenario = simulation.symbol.projector, simulation.scenario
+    projector, scenario, shown = simulation.symbol.projector, simulation.scenario, list[Show]()
     state, arrivals = _give(own, "start", {}, shown, simulation)
     for number in range(exposures):
         light = projector.light(projector.target) if number % 2 == 0 else projector.resting
         exposure = Exposure(number, arrivals.time_s, scenario.shares[number % 2] / scenario.rate_hz, light)
         before = state
         state, arrivals = _give(own, "show", {"state": before, "exposure": exposure}, shown, simulation)
-        shown.append(Show(before, exposure, arrivals, copy_parts((state, arrivals), GIVES)))
+        shown.append((exposure, before, arrivals, copy_parts((state, arrivals), GIVES)))
     where = f"{KEY}: {own.name}:"
-    if exposures == EXPOSURES and not any(each.arrivals.frames for each in shown):
+    if exposures == EXPOSURES and not any(came.frames for _, _, came, _ in shown):
         raise LuxloopError(f"{where} no frame of {exposures} exposures has arrived or been reported lost; give frames in Arrivals.frames")
-    for each in shown:
-        if differs := difference(each.gave, own.show(each.state, each.exposure), GIVES):
+    for exposure, before, _, result in shown:
+        if differs := difference(result, own.show(before, exposure), GIVES):
             raise LuxloopError(
                 f"{where} show gives another {differs} when an earlier state is shown its exposure again after others; keep what it "
                 "remembers in the state and not in self, and make new tensors in place of writing into old ones"
             )
 
 
-@dataclass(frozen=True)
-class Show:
-    """An exposure, the state before it, the arrivals, and a copy of everything the plant returned."""
-
-    state: Any
-    exposure: Exposure
-    arrivals: Arrivals
-    gave: Parts
+# an exposure, the state before it, the arrivals, and a copy of everything the plant returned
+Show = tuple[Exposure, Any, Arrivals, Parts]
 
 
 def _give(own: Guard, method: str, inputs: Mapping[str, Any], shown: Sequence[Show], simulation: Simulation) -> tuple[Any, Arrivals]:
@@ -91,8 +83,8 @@ def _give(own: Guard, method: str, inputs: Mapping[str, Any], shown: Sequence[Sh
     gave = pure(own, method, inputs, GIVES)
     with locate(f"{own.key}: {own.name}: {method}"):
         state, arrivals = check_arrivals(gave, exposure, like)
-        starts_s = [each.exposure.start_s for each in shown] + ([] if exposure is None else [exposure.start_s])
-        came = [frame.number for each in shown for frame in each.arrivals.frames]
+        starts_s = [each.start_s for each, *_ in shown] + ([] if exposure is None else [exposure.start_s])
+        came = [frame.number for _, _, earlier, _ in shown for frame in earlier.frames]
         for frame in arrivals.frames:
             _check_number(frame.number, len(starts_s), came)
             start_s, end_s = (*starts_s, arrivals.time_s)[frame.number : frame.number + 2]

@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -60,9 +59,9 @@ def check_tracker(tracker: type, options: Mapping[str, Any] | None = None, devic
     state = pure_state(own.own, "start", {})
     _report(own, state, 0.0)
     numbers, where = dict[str, int](), f"{KEY}: {own.own.name}"
-    for k, each in enumerate(frames):
-        state = _follow(own, state, each.found, each)
-        for kind, number in _numbers(each.found, _report(own, state, each.time_s), classes).items():
+    for k, (frame, time_s, found) in enumerate(frames):
+        state = _follow(own, state, found, frame, time_s)
+        for kind, number in _numbers(found, _report(own, state, time_s), classes).items():
             others = {other for other, known in numbers.items() if known == number} - {kind}
             if numbers.setdefault(kind, number) != number or others:
                 was = f"that of the {others.pop()}" if others else f"{numbers[kind]} before"
@@ -71,11 +70,12 @@ def check_tracker(tracker: type, options: Mapping[str, Any] | None = None, devic
                     "from frame to frame, whatever the order of detections, and number each new object higher"
                 )
         if k in EMPTY_AFTER:
-            empty = Detections(each.found.boxes[:0], each.found.scores[:0])
+            (next_frame, next_s, _), (last_frame, last_s, last_found) = frames[k + 1 : k + 3]
+            empty = Detections(found.boxes[:0], found.scores[:0])
             with locate("in a frame without detections"):
-                blind = _follow(own, state, empty, frames[k + 1])
+                blind = _follow(own, state, empty, next_frame, next_s)
             with locate("after a frame without detections"):
-                _follow(own, blind, frames[k + 2].found, frames[k + 2])
+                _follow(own, blind, last_found, last_frame, last_s)
     if not numbers:
         warnings.warn(
             f"{where}: reported none of 2 objects in {len(frames)} frames with detections of score 1; boxes are px",
@@ -83,13 +83,7 @@ def check_tracker(tracker: type, options: Mapping[str, Any] | None = None, devic
         )
 
 
-@dataclass(frozen=True, eq=False)
-class DetectionFrame:
-    """A tracker's frame `[height, width]`, its time, and its detections."""
-
-    image: Tensor
-    time_s: float
-    found: Detections
+DetectionFrame = tuple[Tensor, float, Detections]  # a tracker's frame `[height, width]`, its time in s, and its detections
 
 
 @cache
@@ -100,15 +94,15 @@ def _frames(device: str) -> tuple[View, tuple[Category, ...], Sequence[Detection
     for step in simulation.run():
         assert step.frame is not None and step.perception.found is not None
         image, found = step.frame / most, step.perception.found
-        frames.append(DetectionFrame(image, step.time_s, Detections(found.boxes.to(image), found.scores.to(image))))
+        frames.append((image, step.time_s, Detections(found.boxes.to(image), found.scores.to(image))))
     return simulation.view, simulation.pipeline.classes, frames
 
 
-def _follow(tracker: CheckedTracker, state: Any, found: Detections, seen: DetectionFrame) -> Any:
+def _follow(tracker: CheckedTracker, state: Any, found: Detections, frame: Tensor, time_s: float) -> Any:
     """State after a frame, with reports at the frame's time and later."""
-    after = pure_state(tracker.own, "follow", {"state": state, "found": found, "frame": seen.image, "time_s": seen.time_s})
-    for time_s in (seen.time_s, seen.time_s + 1 / RATE_HZ):
-        _report(tracker, after, time_s)
+    after = pure_state(tracker.own, "follow", {"state": state, "found": found, "frame": frame, "time_s": time_s})
+    for later_s in (time_s, time_s + 1 / RATE_HZ):
+        _report(tracker, after, later_s)
     return after
 
 

@@ -19,7 +19,7 @@ from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.simulated import world_plant
-from luxloop.loop.studies.batch.copies import Copies, Taken
+from luxloop.loop.studies.batch.copies import Conditions, Copies
 from luxloop.loop.studies.batch.rollouts import choose
 from luxloop.loop.studies.environment.single import (
     SEEDS,
@@ -138,10 +138,10 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
         self._state = self.acting.act(self._state, actions)
         pose = self.acting.projection(self._state, None).pose
         light, ages = self.copies.show(pose), self._age.tolist()
-        frames = [Taken(seed, step, self.plant.disturbances) for seed, step in zip(self._seeds, ages, strict=True)]
+        frames = [Conditions(seed, step, self.plant.disturbances) for seed, step in zip(self._seeds, ages, strict=True)]
         seen = self.copies.measure(light, frames)
-        for k, taken in enumerate(frames):
-            if replace(self.plant, seed=taken.seed).loses(taken.step):
+        for k, each in enumerate(frames):
+            if replace(self.plant, seed=each.seed).loses(each.step):
                 seen[k] = self.copies.sensor.lost(pose[k], ExtractionStatus.NO_FRAME)
         looks = zip(*(vars(Look.of(each, self.image)).values() for each in seen), strict=True)
         columns: list[Any] = [None if each[0] is None else torch.stack(each) for each in looks]

@@ -169,19 +169,21 @@ def _on_any(box: Tensor, objects: Sequence[SceneObject]) -> bool:
     return False
 
 
+def _share(hits: Sequence[bool]) -> float | None:
+    return round(float(np.mean(hits)), 3) if hits else None
+
+
 def _found(frame_scores: Sequence[FrameScores]) -> dict[str, Any]:
-    def share(hits: Sequence[bool]) -> float | None:
-        return round(float(np.mean(hits)), 3) if hits else None
 
     pairs = [(label, hit, right) for each in frame_scores for label, hit, right in zip(each.labels, each.found, each.right, strict=True)]
     false, true = sum(each.false for each in frame_scores), sum(hit for _, hit, _ in pairs)
     return {
         "objects": len(pairs),
-        "recall": share([hit for _, hit, _ in pairs]),
+        "recall": _share([hit for _, hit, _ in pairs]),
         "precision": round(true / max(true + false, 1), 3),
         "false_a_frame": round(false / len(frame_scores), 3),
-        "class_accuracy": share([right for _, hit, right in pairs if hit]),
-        "recall_by_class": {name: share([hit for label, hit, _ in pairs if label == k]) for k, name in enumerate(CLASSES)},
+        "class_accuracy": _share([right for _, hit, right in pairs if hit]),
+        "recall_by_class": {name: _share([hit for label, hit, _ in pairs if label == k]) for k, name in enumerate(CLASSES)},
     }
 
 
@@ -212,7 +214,7 @@ def _alone(agreements: Sequence[tuple[int, float, float]]) -> dict[str, Any]:
     """Share of objects whose confidence in object-based light is within AGREE of full light, and the median change."""
 
     def share_within(found: Sequence[tuple[int, float, float]]) -> float | None:
-        return round(float(np.mean([dark >= full - AGREE for _, full, dark in found])), 3) if found else None
+        return _share([dark >= full - AGREE for _, full, dark in found])
 
     changes = [dark - full for _, full, dark in agreements]
     return {

@@ -315,7 +315,7 @@ def test_what_has_been_run_is_predicted_and_differentiable_in_gains() -> None:
     run = rollouts(simulation, gains)
     scene = Surrogate.of([run], 0)
     assert len(scene.poses) == 4
-    predicted = scene.predicted(simulation, gains, torch.zeros(4, 1, 4))
+    predicted = scene.predict(simulation, gains, torch.zeros(4, 1, 4))
     # Other places lie tens of what is near apart, and have a ten-thousandth of the weight.
     assert ((predicted.poses - run.poses) / near(simulation)).abs().max() < 0.1
 
@@ -323,7 +323,7 @@ def test_what_has_been_run_is_predicted_and_differentiable_in_gains() -> None:
     noise = torch.randn(4, 1, 4, dtype=torch.float64)
 
     def errors(*values: Tensor) -> Tensor:
-        return precise.predicted(simulation, dict(zip(gains, values, strict=True)), noise).errors
+        return precise.predict(simulation, dict(zip(gains, values, strict=True)), noise).errors
 
     at = [torch.tensor([value], dtype=torch.float64, requires_grad=True) for value in (0.4, 0.3)]
     assert torch.autograd.gradcheck(errors, at)

@@ -8,7 +8,7 @@ import torch
 from luxloop import ProjectionCommand, Simulation, load
 from luxloop.controllers.pixels.ssc import WindowedSsc
 from luxloop.loop.studies.batch import drawing
-from luxloop.loop.studies.batch.copies import Copies, Taken
+from luxloop.loop.studies.batch.copies import Conditions, Copies
 from tests.loop.conftest import simulation_of
 from tests.refusal import refusal
 
@@ -37,7 +37,7 @@ def test_each_copy_is_a_single_run(simulation: Simulation) -> None:
     assert copies.windowed == (simulation.scenario.lighting.base.beam == "off")
     poses = torch.stack([each.symbol.pose for each in results])
     light, seed = copies.show(poses), simulation.scenario.seed
-    frames = [Taken(seed, step, simulation.scenario.disturbances) for step in range(len(results))]
+    frames = [Conditions(seed, step, simulation.scenario.disturbances) for step in range(len(results))]
     seen, metrics = copies.measure(light, frames), copies.evaluate(light)
     for k, each in enumerate(results):
         expected, single = each.symbol.measurement, each.symbol.metrics
@@ -61,7 +61,7 @@ def test_bands_of_rays_are_the_rays(simulation: Simulation) -> None:
         rays = drawing.rays_at(module.pixel_controller, primitives, module.T_body_headlight)
         drawn = WindowedSsc.of(module.pixel_controller, rays.window)
         assert drawing._plain(drawn, rays)
-        for quick, readable in zip(drawing._sampled(drawn, rays), drawing._painted(drawn, rays), strict=True):
+        for quick, readable in zip(drawing._sample(drawn, rays), drawing._paint(drawn, rays), strict=True):
             assert torch.equal(quick, readable)
 
 
@@ -72,7 +72,7 @@ def test_products_are_kept_until_poses_leave_them(simulation: Simulation) -> Non
     copies.show(near)
     for poses in (far, near):
         found, expected = copies.show(poses), fresh.show(poses)
-        for a, b in zip(copies.measure(found, [Taken(0, 0)] * 2), fresh.measure(expected, [Taken(0, 0)] * 2), strict=False):
+        for a, b in zip(copies.measure(found, [Conditions(0, 0)] * 2), fresh.measure(expected, [Conditions(0, 0)] * 2), strict=False):
             torch.testing.assert_close(a.pose_error, b.pose_error, rtol=0, atol=1e-4)
         torch.testing.assert_close(found.sums, expected.sums)
 
@@ -80,7 +80,7 @@ def test_products_are_kept_until_poses_leave_them(simulation: Simulation) -> Non
 def test_a_symbol_that_nobody_sees_is_lost_and_nothing_on_the_road(simulation: Simulation) -> None:
     copies = Copies(simulation)
     light = copies.show(torch.tensor([[17.0, 200.0, 0.0, 0.0]] * 2))
-    assert [each.code.item() for each in copies.measure(light, [Taken(0, 0)] * 2)] == [2, 2]
+    assert [each.code.item() for each in copies.measure(light, [Conditions(0, 0)] * 2)] == [2, 2]
     metrics = copies.evaluate(light)
     assert metrics.iou.tolist() == [0, 0] and metrics.centroid_percent.isnan().all()
 
@@ -88,7 +88,7 @@ def test_a_symbol_that_nobody_sees_is_lost_and_nothing_on_the_road(simulation: S
 def test_noise_is_that_of_each_copys_seed_and_step(simulation: Simulation) -> None:
     copies = Copies(simulation)
     light = copies.show(torch.tensor([[17.0, 0.0, 0.0, 0.0]] * 3))
-    first, second, third = (each.errors for each in copies.measure(light, [Taken(0, 5), Taken(0, 5), Taken(1, 5)]))
+    first, second, third = (each.errors for each in copies.measure(light, [Conditions(0, 5), Conditions(0, 5), Conditions(1, 5)]))
     assert torch.equal(first, second)
     assert torch.equal(first, third) != simulation.scenario.camera.noise
 
