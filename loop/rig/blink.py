@@ -238,7 +238,7 @@ def _blink_pictures(
         share = share if on else 1 - share
         values.append((arrived_s - at_s, at_s, late_s, share.min(), share.max()))
     columns = np.array(values).reshape(-1, 5).T
-    return BlinkPictures(*columns, seen=seen, intervals_s=came[0], queued=came[1])
+    return BlinkPictures(columns[0], columns[1], columns[2], columns[3], columns[4], seen, *came)
 
 
 def _between(lag_s: Array, after: Mask, reach_s: float) -> float:

@@ -1,17 +1,15 @@
 """Pictures and figures of a digitised lamp, and comparisons of a rig's frames and beams with simulated ones."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from torch import Tensor
 
-from luxloop.loop.report.style import DEFAULTS, SHARES, STYLE
+from luxloop.loop.recording.manifest import write_json
+from luxloop.loop.report.style import DEFAULTS, SHARES, drawing, page_title
 from luxloop.loop.rig.arrays import Array, Image
 from luxloop.loop.rig.calibration.digitise import ModuleMeasurement
 from luxloop.loop.rig.calibration.shots import luminous
@@ -49,16 +47,13 @@ def facts(module: ModuleMeasurement) -> dict[str, Any]:
     }
 
 
-@rc_context(DEFAULTS)
 def write(stem: Path, modules: Sequence[ModuleMeasurement]) -> list[Path]:
     """Write `STEM.json`, `STEM.png` and `STEM_pixels.npz` beside a lamp file; returns the paths."""
     text, picture, pixels = stem.with_suffix(".json"), stem.with_suffix(".png"), stem.with_name(f"{stem.name}_pixels.npz")
-    with whole(text) as part:
-        part.write_text(json.dumps({each.name: facts(each) for each in modules}, indent=1) + "\n", "utf-8")
+    write_json(text, {each.name: facts(each) for each in modules})
     with whole(pixels) as part:
         write_npz(part, [(f"{k}_{name}", array) for k, each in enumerate(modules) for name, array in _arrays(each).items()])
-    with whole(picture) as part:
-        _overview(modules).savefig(part, format="png", dpi=110)
+    _draw_overview(picture, modules)
     return [text, picture, pixels]
 
 
@@ -68,28 +63,27 @@ def _arrays(module: ModuleMeasurement) -> dict[str, Image]:
     return {name: each.astype(np.float32) for name, each in found.items()} | {"dead": module.dead, "stuck": module.stuck}
 
 
-def _overview(modules: Sequence[ModuleMeasurement]) -> Figure:
-    figure = Figure(figsize=(13, 3.4 * len(modules)), layout="constrained")
-    rows = figure.subplots(len(modules), 3, squeeze=False)
-    for axes, module in zip(rows, modules, strict=True):
-        measured = module.measured
-        panels = (
-            ("intensity, cd", measured.intensity, "viridis"),
-            ("residual, share of the pixel's peak", measured.residual, "magma"),
-            ("shift from smooth places, pixels", np.hypot(measured.shift_row, measured.shift_col), "magma"),
-        )
-        for axis, (title, values, colours) in zip(axes, panels, strict=True):
-            middle, spread = float(np.median(values)), float(values.std()) or 1.0
-            low, high = max(float(values.min()), middle - SHOWN * spread), min(float(values.max()), middle + SHOWN * spread)
-            shown = axis.imshow(values, cmap=colours, vmin=low, vmax=high, aspect="auto", interpolation="nearest")
-            figure.colorbar(shown, ax=axis)
-            axis.set_title(f"{module.name}: {title}", fontsize=9)
-            axis.set_xlabel("column")
-        for what, marker in ((module.dead, "x"), (module.stuck, "o")):
-            r, c = np.nonzero(what)
-            axes[0].scatter(c[:LISTED], r[:LISTED], marker=marker, s=12, c="red", linewidths=0.7)
-        axes[0].set_ylabel("row; x dead, o stuck")
-    return figure
+def _draw_overview(file: Path, modules: Sequence[ModuleMeasurement]) -> None:
+    with drawing(file, (13, 3.4 * len(modules)), DEFAULTS) as figure:
+        rows = figure.subplots(len(modules), 3, squeeze=False)
+        for axes, module in zip(rows, modules, strict=True):
+            measured = module.measured
+            panels = (
+                ("intensity, cd", measured.intensity, "viridis"),
+                ("residual, share of the pixel's peak", measured.residual, "magma"),
+                ("shift from smooth places, pixels", np.hypot(measured.shift_row, measured.shift_col), "magma"),
+            )
+            for axis, (title, values, colours) in zip(axes, panels, strict=True):
+                middle, spread = float(np.median(values)), float(values.std()) or 1.0
+                low, high = max(float(values.min()), middle - SHOWN * spread), min(float(values.max()), middle + SHOWN * spread)
+                shown = axis.imshow(values, cmap=colours, vmin=low, vmax=high, aspect="auto", interpolation="nearest")
+                figure.colorbar(shown, ax=axis)
+                axis.set_title(f"{module.name}: {title}", fontsize=9)
+                axis.set_xlabel("column")
+            for what, marker in ((module.dead, "x"), (module.stuck, "o")):
+                r, c = np.nonzero(what)
+                axes[0].scatter(c[:LISTED], r[:LISTED], marker=marker, s=12, c="red", linewidths=0.7)
+            axes[0].set_ylabel("row; x dead, o stuck")
 
 
 def draw_twin(file: Path, rig: Array, simulated: Array, figures: Mapping[str, Any]) -> None:
@@ -98,17 +92,15 @@ def draw_twin(file: Path, rig: Array, simulated: Array, figures: Mapping[str, An
     rig, simulated: digital numbers `[height, width]`. figures: row of twin.parquet. Raises LuxloopError if the file cannot be written.
     """
     height, width = rig.shape
-    with rc_context(STYLE), whole(file) as part:
-        figure = Figure((TWIN_IN, TWIN_IN / 3 * height / width + 1.1), DPI, layout="constrained")
+    with drawing(file, (TWIN_IN, TWIN_IN / 3 * height / width + 1.1), dpi=DPI) as figure:
         title = f"Exposure {figures['number']} at {figures['time_s']:.2f} s: MAE {figures['mae']:.1f}, RMSE {figures['rmse']:.1f}"
-        figure.suptitle(f"{title}, SSIM {figures['ssim']:.3f}", x=0.012, ha="left", fontsize=12, weight="bold")
+        page_title(figure, f"{title}, SSIM {figures['ssim']:.3f}", size=12)
         panels, below = figure.subplots(2, 3, height_ratios=(1, BAR))
         titles = [f"{name.capitalize()}: {figures[f'mean_{name}']:.1f} on average" for name in ("rig", "simulated")]
         scale = _difference(panels, (rig, simulated), (rig, simulated), (*titles, "Rig minus simulated, in digital numbers"))
         figure.colorbar(scale, cax=below[2], orientation="horizontal", extend="both")
         for axes in below[:2]:
             axes.set_axis_off()
-        figure.savefig(part, format="png")
 
 
 def draw_beam(file: Path, digitised: Tensor, headlight: Headlight, utilisation: Tensor) -> None:
@@ -122,13 +114,11 @@ def draw_beam(file: Path, digitised: Tensor, headlight: Headlight, utilisation: 
     rms = float(np.sqrt(np.square(intensity - simulated).mean() / max(np.square(simulated).mean(), 1e-30)))
     height, width = headlight.top - headlight.bottom, headlight.left - headlight.right
     titles = [f"{name}: {each.max():,.0f} cd at most" for name, each in (("Digitised", intensity), ("Simulated", simulated))]
-    with rc_context(STYLE), whole(file) as part:
-        figure = Figure((BEAM_IN, 3 * (BEAM_IN * height / width + 0.45)), DPI, layout="constrained")
+    with drawing(file, (BEAM_IN, 3 * (BEAM_IN * height / width + 0.45)), dpi=DPI) as figure:
         panels, last = figure.subplots(3), f"Digitised minus simulated in cd, {100 * rms:.2g} % rms"
         images = (seen if seen.ndim == 2 else np.moveaxis(seen, 0, -1)), simulated
         scale = _difference(panels, images, (intensity, simulated), (*titles, last), height / width * headlight.cols / headlight.rows)
         figure.colorbar(scale, ax=list(panels), location="bottom", extend="both", aspect=60, fraction=0.03)
-        figure.savefig(part, format="png")
 
 
 def _difference(panels: Sequence[Axes], images: Sequence[Array], pair: Sequence[Array], titles: Sequence[str], aspect: Any = None) -> Any:
