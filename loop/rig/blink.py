@@ -139,20 +139,20 @@ def record(rig: Rig, grids: Grids, blinks: int, level: float, advance: Callable[
     return _blink_pictures(switches, pictures, steady, (np.diff(np.array(arrivals)), queued / max(len(arrivals), 1)))
 
 
-def evaluate(looks: BlinkPictures, blinks: int) -> BlinkResult:
+def evaluate(pictures: BlinkPictures, blinks: int) -> BlinkResult:
     """Timing from the pictures of a blink test. Raises LuxloopError if they are too few."""
-    whole, begun, lag_s = looks.least > 1 - looks.seen, looks.most > looks.seen, looks.lag_s
+    whole, begun, lag_s = pictures.least > 1 - pictures.seen, pictures.most > pictures.seen, pictures.lag_s
     if whole.sum() < blinks / 2 or len(lag_s) < 2 * blinks:
         raise LuxloopError("blink: too few pictures came, or the light is not steady; check the camera's rate, its exposure, and the lamp")
-    interval_s = float(np.median(looks.intervals_s))
+    interval_s = float(np.median(pictures.intervals_s))
     latency_s, begins_s = (_between(lag_s, each, interval_s / 2) for each in (whole, begun))
-    first = np.array([lag_s[(looks.at_s == at_s) & whole].min() for at_s in np.unique(looks.at_s[whole])])
-    starts_s, drawn = np.unique(looks.at_s), np.random.default_rng(0)
-    blinks_of = [np.flatnonzero(looks.at_s == at_s) for at_s in starts_s]
+    first = np.array([lag_s[(pictures.at_s == at_s) & whole].min() for at_s in np.unique(pictures.at_s[whole])])
+    starts_s, drawn = np.unique(pictures.at_s), np.random.default_rng(0)
+    blinks_of = [np.flatnonzero(pictures.at_s == at_s) for at_s in starts_s]
     halves = blinks_of[: len(blinks_of) // 2], blinks_of[len(blinks_of) // 2 :]
 
-    def latency(pictures: Sequence[Indices]) -> float:
-        at = np.concatenate(pictures)
+    def latency(parts: Sequence[Indices]) -> float:
+        at = np.concatenate(parts)
         return _between(lag_s[at], whole[at], interval_s / 2)
 
     minutes = (starts_s[len(halves[0]) :].mean() - starts_s[: len(halves[0])].mean()) / 60
@@ -160,12 +160,12 @@ def evaluate(looks: BlinkPictures, blinks: int) -> BlinkResult:
     others = [[latency([half[k] for k in drawn.integers(len(half), size=len(half))]) for half in halves] for _ in range(DRAWS)]
     return BlinkResult(
         latency_s,
-        MARGIN * needed_s(lag_s[~whole] - latency_s, looks.late_s[~whole]) + MARGIN_S,
+        MARGIN * needed_s(lag_s[~whole] - latency_s, pictures.late_s[~whole]) + MARGIN_S,
         max(latency_s - begins_s, 0.0),
         (float(np.median(first)), float(np.quantile(first, 0.95)), float(first.max())),
         ((later - early) / minutes, float(np.diff(others).std()) / minutes),
-        (interval_s, float(looks.intervals_s.max())),
-        looks.queued,
+        (interval_s, float(pictures.intervals_s.max())),
+        pictures.queued,
         blinks,
     )
 
@@ -173,10 +173,10 @@ def evaluate(looks: BlinkPictures, blinks: int) -> BlinkResult:
 def _show(rig: Rig, shine: Shine) -> None:
     """Show light at once. Raises LuxloopError if the rate limit forbids that."""
     rig.keeper.beat()
-    given = rig.limit(shine, time.monotonic())
-    if given.slowed < 1:
+    limited_light = rig.limit(shine, time.monotonic())
+    if limited_light.slowed < 1:
         raise LuxloopError("limits.change_per_s: is too low for a blink; give a lower --level, or raise it")
-    rig.show(given.shine)
+    rig.show(limited_light.shine)
 
 
 def _pictures(rig: Rig, until_s: float) -> Iterator[tuple[CameraPicture, Image]]:

@@ -139,17 +139,17 @@ class Camera:
                 raise LuxloopError(f"camera: no picture for {self._timeout_s:g} s")
 
 
-def check_picture(given: Any) -> CameraPicture | None:
+def check_picture(picture: Any) -> CameraPicture | None:
     """The result of a camera's `read`, checked. Raises LuxloopError if it is neither None nor a valid CameraPicture."""
-    if given is None:
+    if picture is None:
         return None
-    if not isinstance(given, CameraPicture):
-        raise LuxloopError(f"{KEY}: read gives a {type(given).__name__}; return a luxloop.CameraPicture, or None where none has come")
-    if not isinstance(given.arrived_s, int | float) or not -np.inf < given.arrived_s <= time.monotonic() + 1e-3:
-        raise LuxloopError(f"{KEY}: read gives the time {given.arrived_s!r}; give time.monotonic() when the picture had come")
-    data: Any = given.data
+    if not isinstance(picture, CameraPicture):
+        raise LuxloopError(f"{KEY}: read gives a {type(picture).__name__}; return a luxloop.CameraPicture, or None where none has come")
+    if not isinstance(picture.arrived_s, int | float) or not -np.inf < picture.arrived_s <= time.monotonic() + 1e-3:
+        raise LuxloopError(f"{KEY}: read gives the time {picture.arrived_s!r}; give time.monotonic() when the picture had come")
+    data: Any = picture.data
     image = isinstance(data, np.ndarray) and data.dtype in (np.uint8, np.uint16) and data.size and data.ndim > 1
     if not isinstance(data, bytes) and not (image and data.shape[2:] in ((), (3,), (4,))):
         what = f"{data.dtype} {list(data.shape)}" if isinstance(data, np.ndarray) else type(data).__name__
         raise LuxloopError(f"{KEY}: read gives a picture of {what}; give uint8 or uint16 [height, width] or [height, width, 3], or bytes")
-    return given
+    return picture

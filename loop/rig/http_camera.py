@@ -4,7 +4,8 @@ import base64
 import select
 import socket
 import time
-from collections.abc import Mapping
+from http.client import HTTPException, parse_headers
+from typing import Any
 from urllib.parse import unquote, urljoin, urlsplit
 from urllib.request import AbstractDigestAuthHandler, HTTPPasswordMgrWithDefaultRealm, Request, parse_http_list, parse_keqv_list
 
@@ -87,25 +88,21 @@ class HttpCamera:
         with reaching("camera.url", address):
             return socket.create_connection((host, port), SLOW_S)
 
-    def _ask(self, address: str, login: str) -> tuple[str, Mapping[str, str]]:
-        """Status and head of the server's answer, with names in lower case."""
+    def _ask(self, address: str, login: str) -> tuple[str, Any]:
+        """Status and head of the server's answer."""
         url = urlsplit(address)
         lines = [f"GET {url.path or '/'}{f'?{url.query}' if url.query else ''} HTTP/1.0", f"Host: {url.hostname}"]
         lines += ["Accept: multipart/x-mixed-replace, image/*", *([f"Authorization: {login}"] if login else [])]
         self._stream.socket.sendall("\r\n".join([*lines, "", ""]).encode())
         first = self._stream.readline(MOST_HEAD).decode("latin-1").split(None, 2)
-        head, left = dict[str, str](), MOST_HEAD
         if len(first) < 2 or not first[0].startswith("HTTP/"):
-            return "no HTTP", head
-        while (line := self._stream.readline(left)).strip():
-            left -= len(line)
-            if left <= 0:
-                raise LuxloopError("camera: the head of its answer does not end; check the address")
-            name, _, value = line.decode("latin-1").partition(":")
-            head[name.lower()] = value.strip()
-        return first[1], head
+            return "no HTTP", {}
+        try:
+            return first[1], parse_headers(self._stream)
+        except HTTPException as error:
+            raise LuxloopError("camera: the head of its answer does not end; check the address") from error
 
-    def _refuse_others(self, status: str, head: Mapping[str, str]) -> None:
+    def _refuse_others(self, status: str, head: Any) -> None:
         if status != "200":
             raise LuxloopError(f"camera.url: {self._url} answers with {status}, not with pictures; check the path, and the login")
         if "chunked" in head.get("transfer-encoding", "").lower():
@@ -121,9 +118,9 @@ def _host(address: str) -> tuple[str | None, int | None]:
     return url.hostname, url.port
 
 
-def _login(given: str, address: str, challenge: str) -> str:
+def _login(camera_url: str, address: str, challenge: str) -> str:
     """Authorization header for a basic or digest challenge, with the user in the address."""
-    user, password = (unquote(each or "") for each in (urlsplit(given).username, urlsplit(given).password))
+    user, password = (unquote(each or "") for each in (urlsplit(camera_url).username, urlsplit(camera_url).password))
     kind, _, values = challenge.partition(" ")
     if kind.lower() != "digest":
         return f"Basic {base64.b64encode(f'{user}:{password}'.encode()).decode()}"
@@ -171,7 +168,7 @@ class _Stream:
         self.arrived_s = time.monotonic()
         self._until_s = self.arrived_s + self._whole_s
 
-    def readline(self, limit: int) -> bytes:
+    def readline(self, limit: int = MOST_HEAD) -> bytes:
         while (end := self._buffer.find(b"\n", 0, limit)) < 0 and len(self._buffer) < limit:
             self._fill()
         return self._consume(limit if end < 0 else end + 1)

@@ -50,17 +50,17 @@ class RigPlant:
     def show(self, state: None, exposure: Exposure) -> tuple[None, Arrivals]:
         """Show an exposure for at least its duration, until a frame of its light alone has arrived or counts as lost."""
         pictures = tuple(_picture(light, grid) for light, grid in zip(exposure.lights, self.grids, strict=True))
-        given, taken = self.rig.expose(Shine(exposure.number, pictures, exposure.commands), exposure.duration_s)
-        if taken.image is None:
+        limited_light, rig_frame = self.rig.expose(Shine(exposure.number, pictures, exposure.commands), exposure.duration_s)
+        if rig_frame.image is None:
             frame = Frame(exposure.number, math.nan, math.nan, None)
         else:
-            taken_s = max(taken.sent_s, taken.arrived_s - self.rig.params.timing.latency_s)
+            taken_s = max(rig_frame.sent_s, rig_frame.arrived_s - self.rig.params.timing.latency_s)
             shown = None
-            if not given.whole:  # the safety limits changed the exposure
-                lit = zip(given.shine.pictures, exposure.lights, strict=True)
+            if not limited_light.whole:  # the safety limits changed the exposure
+                lit = zip(limited_light.shine.pictures, exposure.lights, strict=True)
                 lights = tuple(Utilisation(torch.from_numpy(u.ravel()).to(each.u)) for u, each in lit)
-                shown = replace(exposure, lights=lights, commands=given.shine.commands)
-            frame = Frame(exposure.number, taken_s, taken.arrived_s, torch.from_numpy(taken.image).to(self.like), shown)
+                shown = replace(exposure, lights=lights, commands=limited_light.shine.commands)
+            frame = Frame(exposure.number, taken_s, rig_frame.arrived_s, torch.from_numpy(rig_frame.image).to(self.like), shown)
         self.look(exposure, frame.image)
         if exposure.number == self.last:
             self.rig.keeper.dark("the run has ended")

@@ -139,21 +139,21 @@ class Rig:
                     self._image(picture)
             self._done(began_s)
             return LimitedLight(shine), self._lost(shine.number, began_s, reason)
-        given = self.limit(shine, began_s)
-        self.show(given.shine)
-        taken = self._frame(given.shine.number, began_s)
+        limited_light = self.limit(shine, began_s)
+        self.show(limited_light.shine)
+        frame = self._frame(limited_light.shine.number, began_s)
         self._wait_until(began_s + least_s)
         self._done(began_s)
-        return given, taken
+        return limited_light, frame
 
     def limit(self, shine: Shine, now_s: float) -> LimitedLight:
         """Light within the limits, given the current light or the time since the lamp was darkened."""
         dark_s = self.keeper.dark_since_s
         before, changed_s = (self._stands, self._changed_s) if dark_s is None else (None, dark_s)
-        given = limit(shine, before, now_s - changed_s, self.limits)
-        self.statistics.dimmed += given.dimmed < 1
-        self.statistics.slowed += given.slowed < 1
-        return given
+        limited_light = limit(shine, before, now_s - changed_s, self.limits)
+        self.statistics.dimmed += limited_light.dimmed < 1
+        self.statistics.slowed += limited_light.slowed < 1
+        return limited_light
 
     def show(self, shine: Shine) -> None:
         """Show light that is within the limits, together with the mark."""
@@ -202,11 +202,11 @@ class Rig:
                 statistics.seen[why] += 1
                 last = {"late": "all pictures had lain in a queue"}.get(why, "no picture that shows this light alone came")
                 continue
-            taken = self._frame_of(picture, number, since_s)
-            if isinstance(taken, RigFrame):
+            frame = self._frame_of(picture, number, since_s)
+            if isinstance(frame, RigFrame):
                 statistics.seen["taken"] += 1
-                return taken
-            last = taken
+                return frame
+            last = frame
         return self._lost(number, began_s, f"{last} in {timing.wait_s:g} s" if self.camera.alive else self.camera.reason)
 
     def refuse_misfit(self) -> None:

@@ -76,18 +76,18 @@ def tabulate(simulation: Simulation, steps: Iterable[tuple[Evaluation, float]]) 
         if name is not None:
             trace.append(_trace(result.held.get(name), simulation.symbol.projector.target))
     table = table_of(rows, schema(simulation))
-    told = summary_of(simulation, table, last)
-    flux_lm = sum(each["flux_lm_mean"] for each in told["lamps"].values())
-    values = {**told, "flux_lm_mean": flux_lm, "utilisation_mean": float(np.mean(utilisations))}
-    sure = [each["confidence_final"] for each in told["objects"].values() if each.get("confidence_final") is not None]
+    summary = summary_of(simulation, table, last)
+    flux_lm = sum(each["flux_lm_mean"] for each in summary["lamps"].values())
+    values = {**summary, "flux_lm_mean": flux_lm, "utilisation_mean": float(np.mean(utilisations))}
+    sure = [each["confidence_final"] for each in summary["objects"].values() if each.get("confidence_final") is not None]
     values |= {"confidence_final_mean": float(np.mean(sure)), "confidence_final_min": min(sure)} if sure else {}
-    for name, symbol in told["functions"].items():
+    for name, symbol in summary["functions"].items():
         x, y = symbol["centroid_error_percent"]
         symbol["residual_percent"] = None if x is None or y is None else float(np.hypot(x, y))
         ious = column(steps_with_metrics(of_one(table, name)), "iou")
         symbol["iou_mean"] = float(ious.mean()) if len(ious) else None
-    for figure, worst in WORST.items() if told["functions"] else ():
-        of_all = [symbol[figure] for symbol in told["functions"].values()]
+    for figure, worst in WORST.items() if summary["functions"] else ():
+        of_all = [symbol[figure] for symbol in summary["functions"].values()]
         values[figure] = None if None in of_all else worst(of_all)
     return _flat(values), Rollout(*(torch.stack(part)[None] for part in zip(*trace, strict=True))) if trace else None
 

@@ -200,11 +200,11 @@ def tune(task: Task, out: Path, trials: int, execute: Executor) -> Tuning:
         with progress("trials", trials, min(shown, trials)) as advance:
             with lock_file(out / STUDY):
                 space = begin(study, task, out, execute)
-            while asked := _next_trials(study, space, task, out, trials):
+            while trial_batch := _next_trials(study, space, task, out, trials):
                 try:
-                    _try(study, asked, task, execute)
+                    _try(study, trial_batch, task, execute)
                 except BaseException:
-                    for trial in asked:
+                    for trial in trial_batch:
                         with suppress(OSError):
                             study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)  # for another process to run
                     raise

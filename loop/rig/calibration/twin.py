@@ -68,18 +68,18 @@ def read_exposures(folder: Path, scenario: Scenario, most: int) -> list[Recorded
         raise LuxloopError(f"{folder}: all frames are lost; record another run with --frames")
     modules = lamp_modules(mount(scenario.headlight))
     pixels, like = [each.headlight.n_pixels for each in modules], modules[0].headlight.matrix.values
-    shown = []
+    found = []
     for k in np.unique(np.linspace(0, len(rows) - 1, most).astype(int)).tolist():
         row = rows[k]
         lights, _, commands = read_light(inside(light_file(folder, row["light"]), folder), pixels, like.device)
         image = read_image(inside(image_file(folder, row["number"]), folder), scenario.camera, like)
-        shown.append((Exposure(row["number"], row["time_s"], 0.0, lights, commands=commands), image))
-    return shown
+        found.append((Exposure(row["number"], row["time_s"], 0.0, lights, commands=commands), image))
+    return found
 
 
 def fit(
     scenario_of: Callable[[Mapping[str, float]], Scenario],
-    shown: Sequence[RecordedExposure],
+    exposures: Sequence[RecordedExposure],
     spans: Mapping[str, float],
     on_step: Callable[[], None] = lambda: None,
 ) -> FitResult:
@@ -93,8 +93,8 @@ def fit(
     start = np.array([0.0 if key == BLUR else _value(scenario, key) for key in spans])
     span = np.array(list(spans.values()))
     levels = 2**scenario.camera.bits - 1
-    some = max(1, sum(image.numel() for _, image in shown) // MOST_PIXELS)
-    wanted = np.stack([image.double().numpy() for _, image in shown])  # [n, height, width]
+    some = max(1, sum(image.numel() for _, image in exposures) // MOST_PIXELS)
+    wanted = np.stack([image.double().numpy() for _, image in exposures])  # [n, height, width]
     used = (wanted < levels) & (np.arange(wanted[0].size) % some == 0).reshape(wanted[0].shape)
     cache = PartCache()
 
@@ -107,7 +107,7 @@ def fit(
         cache, values = PartCache(cache), values_at(x)
         blur = values.pop(BLUR, 0.0)
         on_step()
-        return _pictures(scenario_of(values), shown, cache, blur)
+        return _pictures(scenario_of(values), exposures, cache, blur)
 
     def residuals(x: Array) -> Array:
         return (np.stack(pictures(x)) - wanted)[used]
@@ -130,14 +130,14 @@ def fit(
     groups = (SIDE**2 * np.arange(len(wanted))[:, None, None] + block)[used]
     covariance = covariance_of(*group_residuals(solved.jac, robust, groups), variance)
     stds = dict(zip(spans, (span * np.sqrt(np.diag(covariance))).tolist(), strict=True))
-    return FitResult(values_at(solved.x), stds, before, after, _noise([image for _, image in shown], scenario.camera))
+    return FitResult(values_at(solved.x), stds, before, after, _noise([image for _, image in exposures], scenario.camera))
 
 
-def _pictures(scenario: Scenario, shown: Sequence[RecordedExposure], cache: PartCache, blur: float) -> list[Array]:
+def _pictures(scenario: Scenario, exposures: Sequence[RecordedExposure], cache: PartCache, blur: float) -> list[Array]:
     """Unrounded, noise-free digital numbers of the exposures in a scenario. blur: standard deviation in px."""
     modules = cache("modules", lambda headlight: lamp_modules(mount(headlight)), scenario.headlight)
     world = simulated_plant(scenario, modules, cache).world
-    seen = (world.luminance(each.start_s, each.lights, each.commands)[0].double().numpy() for each, _ in shown)
+    seen = (world.luminance(each.start_s, each.lights, each.commands)[0].double().numpy() for each, _ in exposures)
     blurred = (gaussian_filter(each, blur) if blur else each.copy() for each in seen)
     return [expose(torch.from_numpy(each), world.camera, quantise=False).numpy() for each in blurred]
 

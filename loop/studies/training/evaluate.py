@@ -120,14 +120,14 @@ def boxes_right(found: Detections, objects: Sequence[SceneObject], labels_of: Se
     boxes, (scores, columns) = found.boxes.cpu(), found.scores.cpu().max(1)
     overlap = overlaps(boxes, torch.tensor([each.box for each in objects]).view(-1, 4))
     overlap *= torch.tensor([[labels_of[column] == each.label for each in objects] for column in columns.tolist()]).view(overlap.shape)
-    asked, taken = [], set[int]()
+    found_boxes, taken = [], set[int]()
     for k in scores.argsort(descending=True).tolist():
         best = int(overlap[k].argmax()) if objects else -1
         hit = best >= 0 and best not in taken and float(overlap[k, best]) >= FOUND_IOU
         taken |= {best} if hit else set()
         if hit or not _on_any(boxes[k], [each for each in objects if not _must(each)]):
-            asked.append((float(scores[k]), hit))
-    return asked
+            found_boxes.append((float(scores[k]), hit))
+    return found_boxes
 
 
 def agreement(detector: Detector, scene: DarkScene, seed: int) -> list[tuple[int, float, float]]:

@@ -110,14 +110,14 @@ def calibrate(detector: NetworkDetector, rows: Sequence[Row]) -> tuple[float, fl
     rows: of scenes not used in training, from `luxloop.loop.studies.training.scenes.draw`; each is exposed in full and in object-based
     light. Raises LuxloopError if the scores do not separate correct boxes from wrong ones.
     """
-    asked: list[tuple[float, bool]] = []
+    boxes: list[tuple[float, bool]] = []
     for row in rows:
         scene = read(row)
         seed = int(row["seed"])
         full, alone = expose_scene(scene, REFERENCE_LX, seed, 0), expose_scene(scene, light_on_objects(scene), seed, 1)
         for found in detector.detect(torch.stack([full, alone])):
-            asked += boxes_right(found, scene.objects, range(len(CLASSES)))
-    scores, right = torch.tensor(asked, dtype=torch.float64).view(-1, 2).T
+            boxes += boxes_right(found, scene.objects, range(len(CLASSES)))
+    scores, right = torch.tensor(boxes, dtype=torch.float64).view(-1, 2).T
     slope, shift = logistic(scores.logit(eps=SUREST), right)
     if not right.any() or not (math.isfinite(slope) and math.isfinite(shift)) or slope <= 0:
         raise LuxloopError("the network's scores do not separate correct boxes from wrong ones; give more --scenes or --epochs")
