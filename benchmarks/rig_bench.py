@@ -1,20 +1,23 @@
 """A rig whose every value is known, with effects that its calibration does not model."""
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+import scipy.sparse as sp
 
 from luxloop import Scenario, validate
 from luxloop.loop.rig.arrays import Array
 from luxloop.loop.rig.calibration.geometry import CameraModel, Geometry, Pose
 from luxloop.loop.rig.calibration.intrinsics import Corners, lens
-from luxloop.loop.rig.calibration.setups import SimulatedSetup, simulated_setup
+from luxloop.loop.rig.calibration.setups import SimulatedSetup, neighbours, simulated_setup
 from luxloop.loop.rig.simulated.faults import LensParams
 from luxloop.loop.rig.simulated.lens import Lens, distort, undistort
 from luxloop.loop.simulation.build_lamps import mount
 from luxloop.loop.simulation.lamps import lamp_modules
+from luxloop.loop.simulation.truth import LampModule
 from luxloop.perception.camera import camera_view
 from luxloop.world.headlight import Headlight
 
@@ -69,6 +72,44 @@ def lens_px(camera: CameraModel, params: LensParams, at: Array) -> Array:
     return np.asarray(distort(params, (at - centre) / focal) * focal + centre)
 
 
+SAMPLES = 4  # samples of the fine picture along each side of a camera pixel
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OpticalSetup(SimulatedSetup):
+    """A setup with an effect of the lens on the luminance image, such as blur."""
+
+    optics: Callable[[Array], Array]
+
+    def luminance(self, lights: list[Array]) -> Array:
+        return self.optics(super().luminance(lights))
+
+
+def lens_setup(
+    scenario: Scenario, module: LampModule, lens: Callable[[Array, Array], tuple[Array, Array]], fine: int = 2
+) -> SimulatedSetup:
+    """The setup of a scenario behind a lens.
+
+    lens: from positions `[n]` px (u, v) in the camera picture to those in a pinhole picture of the same size. fine: rendered pixels
+    along a side of a camera pixel.
+    """
+    camera = scenario.camera
+    width, height = fine * camera.width_px, fine * camera.height_px
+    finer = camera.model_copy(update={"width_px": width, "height_px": height})
+    setup = simulated_setup(scenario.model_copy(update={"camera": finer}), [module])
+    v, u = (each.ravel() for each in np.indices((camera.height_px, camera.width_px)))
+    resample = sp.csr_matrix((v.size, width * height), dtype=np.float32)
+    for dv, du in itertools.product((np.arange(SAMPLES) + 0.5) / SAMPLES, repeat=2):
+        x, y = lens(u + du, v + dv)
+        for col, row, weight, inside in neighbours(fine * x - 0.5, fine * y - 0.5, (width, height)):
+            entries = weight[inside].astype(np.float32), (np.flatnonzero(inside), (row * width + col)[inside])
+            resample = resample + sp.csr_matrix(entries, shape=resample.shape)
+    resample = resample / SAMPLES**2
+    base = (resample @ setup.base.ravel()).reshape(camera.height_px, camera.width_px)
+    transports = tuple(sp.csr_array(resample @ each).astype(np.float32) for each in setup.transports)
+    return replace(setup, transports=transports, base=base, camera=camera)
+
+
 def wall(model: str, camera: Mapping[str, float]) -> Scenario:
     """A lamp on a table before a screen."""
     return validate(WALL | {"headlight": {**WALL["headlight"], "model": model}, "camera": WALL["camera"] | camera}, "wall")
@@ -84,14 +125,14 @@ def rig(scenario: Scenario, optics: Mapping[str, float] | None = None, gloss: bo
     scale = (2 * pinhole.matrix[0, 0] / pinhole.width) ** 2
     coefficients = tuple(c * scale**k for k, c in enumerate(DIVISION if division else BROWN, 1))
     params = LensParams(model="division" if division else "opencv", coefficients=coefficients)
-    bench = simulated_setup(scenario, [module], partial(pinhole_px, pinhole, params), fine)
+    bench = lens_setup(scenario, module, partial(pinhole_px, pinhole, params), fine)
     T_world_screen = np.array([[0.0, 0, -1, SCREEN_M], [-1, 0, 0, 0], [0, 1, 0, 1], [0, 0, 0, 1]])
     to_camera = np.linalg.inv(camera_view(scenario.camera).T_world_view.numpy())
     screen, lamp = (Pose.of(to_camera @ each) for each in (T_world_screen, module.T_body_headlight.numpy()))
     truth = Geometry(pinhole, screen, lamp)
     if optics or gloss:
         gain, glass = _sheen(truth, params) if gloss else 1.0, Lens.of(LensParams(**optics or {}), scenario.camera)
-        bench = replace(bench, optics=lambda luminance: glass.image(gain * luminance))
+        bench = OpticalSetup(**vars(bench), optics=lambda luminance: glass.image(gain * luminance))
     camera, _ = lens(views(pinhole, params, rng), pinhole.width, pinhole.height)
     off = Pose(lamp.turn + rng.normal(0, 0.01, 3), lamp.place + rng.normal(0, 0.05, 3))
     return Rig(bench, module.headlight, truth, Geometry(camera, screen, off), params)

@@ -27,10 +27,8 @@ from luxloop.perception.noise import FrameNoise
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.light.illumination import Transport
 
-Lens = Callable[[Array, Array], tuple[Array, Array]]
-
-BAND = 256  # rows of the fine picture rendered at once
-SAMPLES = 4  # samples of the fine picture along each side of a camera pixel
+BAND = 256  # rows rendered at once
+OVERSAMPLING = 4  # samples along each side of a camera pixel
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +36,7 @@ class SimulatedSetup:
     """A scenario's simulated world and a camera at rest; one sparse matrix per module maps lamp pixels to camera pixels.
 
     transports: `[height * width, n_p]`, cd/m^2 at full utilisation. base: `[height, width]` cd/m^2 of other light. seed: of the noise.
-    exposures_s: available exposure times, ascending; one if the camera is locked. optics: effect of the lens on a luminance image, such as
-    blur.
+    exposures_s: available exposure times, ascending; one if the camera is locked.
     """
 
     transports: tuple[sp.csr_array, ...]
@@ -47,7 +44,6 @@ class SimulatedSetup:
     camera: CameraParams
     seed: int
     exposures_s: tuple[float, ...]
-    optics: Callable[[Array], Array] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -58,45 +54,39 @@ class SimulatedSetup:
         """Largest digital number."""
         return 2**self.camera.bits - 1
 
+    def luminance(self, lights: Sequence[Array]) -> Array:
+        """Luminance `[height, width]` in cd/m^2. lights: utilisations `[n_p]` in 0..1 of each module."""
+        light = sum(transport @ u.astype(np.float32) for transport, u in zip(self.transports, lights, strict=True))
+        return np.asarray(self.base + np.reshape(light, self.shape))
+
     def frames(self, lights: Sequence[Array], count: int, exposure_s: float, name: str = "") -> Image:
         """Digital numbers `[count, height, width]` of frames. lights: utilisations `[n_p]` in 0..1 of each module.
 
         name: of the measurement. The noise depends on it, so that a resumed measurement gets the same noise.
         """
-        luminance = self.base.copy()
-        for transport, u in zip(self.transports, lights, strict=True):
-            luminance += (transport @ u.astype(np.float32)).reshape(self.shape)
-        seen = luminance if self.optics is None else self.optics(luminance)
         camera = self.camera.model_copy(update={"exposure_s": exposure_s})
-        image = torch.from_numpy(seen.astype(np.float32))
+        image = torch.from_numpy(self.luminance(lights).astype(np.float32))
         key = crc32(b"".join([f"{name} {exposure_s:g}".encode(), *(u.tobytes() for u in lights)]))
         noise = (FrameNoise.of(self.seed, key, k) for k in range(count))
         return np.stack([expose(image, camera, each).numpy().astype(np.uint16) for each in noise])
 
 
-def simulated_setup(scenario: Scenario, modules: Sequence[LampModule], lens: Lens | None = None, fine: int = 2) -> SimulatedSetup:
-    """Setup of a scenario's world.
-
-    lens: from positions `[n]` px (u, v) in the camera's picture to those in a pinhole camera's picture of the same size; None for a pinhole
-    camera. fine: rendered pixels along a side of a camera pixel. Raises LuxloopError if something in the world moves.
-    """
+def simulated_setup(scenario: Scenario, modules: Sequence[LampModule]) -> SimulatedSetup:
+    """Setup of a scenario's world. Raises LuxloopError if something in the world moves."""
     plant = simulated_plant(scenario, modules)
     camera = plant.world.camera
     if plant.world.moving or plant.world.metered:
         raise LuxloopError(f"{scenario.source}: calibration needs a world that stands still; take out vehicle, detector and moving objects")
-    finer = camera.model_copy(update={"width_px": fine * camera.width_px, "height_px": fine * camera.height_px, "oversampling": fine})
-    world = World(plant.world.scene, plant.world.modules, finer, plant.world.source, given=plant.world.given)
-    resample = _resample(camera, finer, lens)
+    sampled = camera.model_copy(update={"oversampling": OVERSAMPLING})
+    world = World(plant.world.scene, plant.world.modules, sampled, plant.world.source, given=plant.world.given)
     bases, columns = [], []
-    for start in range(0, finer.height_px, BAND):
-        part = slice(start, min(start + BAND, finer.height_px)), slice(0, finer.width_px)
-        lit = world.lit(0.0).within(part)
+    for start in range(0, camera.height_px, BAND):
+        lit = world.lit(0.0).within((slice(start, min(start + BAND, camera.height_px)), slice(0, camera.width_px)))
         bases.append(lit.base.numpy())
         columns.append([_spread(transport, lit.base.numel()) for transport in lit.transports])
-    base = (resample @ np.concatenate(bases).ravel()).reshape(camera.height_px, camera.width_px)
-    transports = tuple(sp.csr_array(resample @ sp.vstack(each, format="csr")).astype(np.float32) for each in zip(*columns, strict=True))
+    transports = tuple(sp.csr_array(sp.vstack(each, format="csr")) for each in zip(*columns, strict=True))
     exposures_s = tuple(camera.exposure_s * 2.0**k for k in (-4, -3, -2, -1, 0))
-    return SimulatedSetup(transports, base.astype(np.float64), camera, scenario.seed, exposures_s)
+    return SimulatedSetup(transports, np.concatenate(bases).astype(np.float64), camera, scenario.seed, exposures_s)
 
 
 def _spread(transport: Any, n: int) -> sp.csr_matrix:
@@ -105,28 +95,6 @@ def _spread(transport: Any, n: int) -> sp.csr_matrix:
     index = transport.index.numpy()
     rows = sp.csr_matrix((np.ones(len(index), np.float32), (index, np.arange(len(index)))), shape=(n, len(index)))
     return rows @ transport.matrix.to_scipy()
-
-
-def _resample(camera: CameraParams, finer: CameraParams, lens: Lens | None) -> sp.csr_matrix:
-    """Matrix from the fine picture to the camera's: mean of bilinear samples over each pixel's area."""
-    ratio = finer.width_px / camera.width_px
-    v, u = (each.ravel() for each in np.indices((camera.height_px, camera.width_px)))
-    total = sp.csr_matrix((v.size, finer.width_px * finer.height_px), dtype=np.float32)
-    for dv, du in itertools.product((np.arange(SAMPLES) + 0.5) / SAMPLES, repeat=2):
-        x, y = u + du, v + dv
-        if lens is not None:
-            x, y = lens(x, y)
-        total = total + _bilinear(ratio * x - 0.5, ratio * y - 0.5, finer.width_px, finer.height_px)
-    return total / SAMPLES**2
-
-
-def _bilinear(x: Array, y: Array, width: int, height: int) -> sp.csr_matrix:
-    parts = [
-        (np.flatnonzero(inside), (row * width + col)[inside], weight[inside].astype(np.float32))
-        for col, row, weight, inside in neighbours(x, y, (width, height))
-    ]
-    rows, columns, weights = map(np.concatenate, zip(*parts, strict=True))
-    return sp.csr_matrix((weights, (rows, columns)), shape=(len(x), width * height))
 
 
 def neighbours(row: Array, col: Array, shape: tuple[int, int]) -> Iterator[tuple[Indices, Indices, Array, Mask]]:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from rig_bench import OpticalSetup, lens_setup
 from torch.testing import assert_close
 
 from luxloop.loop.rig.calibration.geometry import CameraModel
@@ -27,7 +28,7 @@ def test_lens_response_vignetting_and_other_light_are_taken_off() -> None:
 
     darkening = np.array([-0.3, 0.0, 0.0])
     shade = brightness(darkening, 120, 160)
-    setup = replace(simulated_setup(scenario, [lamp], straight), optics=lambda luminance: luminance * shade)
+    setup = OpticalSetup(**vars(lens_setup(scenario, lamp, straight)), optics=lambda luminance: luminance * shade)
     known = replace(calibration(setup.camera, lamp, lens), vignetting=darkening)
     reader = Digitiser.of(known, lamp.name, LAMP)
     exposure_s = setup.camera.exposure_s
