@@ -45,7 +45,7 @@ def test_pixels_are_those_that_were_sent_in_their_order() -> None:
             sent = np.concatenate([u.ravel() for u in shine(each.timecodes[0]).pictures])
             assert np.array_equal(each.codes, np.rint(255 * sent))
         light.dark()
-        assert eventually(lambda: not timeline.state().lit)
+        assert eventually(lambda: not timeline.state()["lit"])
         assert rig.counts()["frames"] == 5
 
 
@@ -55,27 +55,27 @@ def test_it_is_dark_without_word_of_the_loop_and_says_so() -> None:
         assert light.show(shine(1)) is None
         while time.monotonic() < began_s + 1.5:
             time.sleep(0.2)
-            lit = light.show(shine(1)) is None and timeline.state().lit
+            lit = light.show(shine(1)) is None and timeline.state()["lit"]
             now_s = time.monotonic()
             assert lit or now_s > last_s + 1.0, "the same light says that the loop is alive, unless a busy machine stood still"
             last_s = now_s
-        assert eventually(lambda: not timeline.state().lit)
+        assert eventually(lambda: not timeline.state()["lit"])
         assert eventually(lambda: "darkened by itself" in str(light.show(shine(1))))
-        assert eventually(lambda: light.show(shine(1)) is None and timeline.state().lit), "it is sent whole again"
+        assert eventually(lambda: light.show(shine(1)) is None and timeline.state()["lit"]), "it is sent whole again"
 
 
 def test_a_picture_of_another_size_is_not_shown() -> None:
     with showing(60.0, [(2, 3)]) as (light, rig, timeline):
         assert "has not shown it in time" in str(light.show(shine(1)))
-        assert rig.counts()["refused"] == 1 and not timeline.state().lit
+        assert rig.counts()["refused"] == 1 and not timeline.state()["lit"]
 
 
 def test_it_comes_back_to_a_loop_that_has_gone() -> None:
     with showing(60.0) as (light, _, timeline):
-        assert light.show(shine(1)) is None and timeline.state().lit
+        assert light.show(shine(1)) is None and timeline.state()["lit"]
         port = light.port
         light.close()
-        assert eventually(lambda: not timeline.state().lit)
+        assert eventually(lambda: not timeline.state()["lit"])
         again = ScreenLight(ScreenLightParams(kind="screen", port=port), GRIDS)
         try:
             assert eventually(lambda: again.has_page) and again.show(shine(2)) is None

@@ -13,32 +13,32 @@ ON, OFF = np.full(4, 255, np.uint8), np.zeros(4, np.uint8)
 
 def test_it_goes_out_when_nothing_comes() -> None:
     timeline, before_s = Timeline(0.25), time.monotonic()  # a busy machine sleeps some tens of milliseconds longer
-    assert timeline.state().dark_since_s <= before_s
+    assert timeline.state()["dark_since_s"] <= before_s
     timeline.show(light(ON, 1))
-    assert timeline.state().lit and timeline.state().light_sum == 4
+    assert timeline.state()["lit"] and timeline.state()["light_sum"] == 4
     time.sleep(0.15)
     timeline.show(light(ON, 1))  # sent again
     time.sleep(0.15)
-    assert timeline.state().lit
+    assert timeline.state()["lit"]
     time.sleep(0.25)
     state, now_s = timeline.state(), time.monotonic()
-    assert not state.lit and 0.05 < now_s - state.dark_since_s < 0.25
+    assert not state["lit"] and 0.05 < now_s - state["dark_since_s"] < 0.25
     segments = timeline.between(before_s, now_s)
     assert [each.light and each.light.timecodes for each in segments] == [None, (1,), None]
     assert all(a.to_s == b.from_s for a, b in pairwise(segments))
     assert segments[0].from_s == before_s and segments[-1].to_s == now_s
-    assert segments[1].to_s == state.dark_since_s
+    assert segments[1].to_s == state["dark_since_s"]
     timeline.show(light(ON, 1))
-    assert timeline.state().lit, "the same light shines anew"
+    assert timeline.state()["lit"], "the same light shines anew"
 
 
 def test_dark_frames_are_darkness() -> None:
     timeline = Timeline(1.0)
     timeline.show(light(ON, 1))
     timeline.show(light(OFF, 2))
-    first = timeline.state().dark_since_s
+    first = timeline.state()["dark_since_s"]
     timeline.show(light(OFF, 3))
-    assert first is not None and timeline.state().dark_since_s == first
+    assert first is not None and timeline.state()["dark_since_s"] == first
 
 
 def test_light_is_as_late_as_its_lamp() -> None:
