@@ -56,7 +56,7 @@ class SymbolHistory:
         """steps: of the run. Past symbols are kept at growing intervals, since a symbol moves most at first."""
         self.name = name
         self._keep = set(np.geomspace(1, max(steps, 1), PAST_SYMBOLS).round().astype(int) - 1)
-        self.path: list[tuple[float, float]] = []
+        self.path: list[list[float]] = []
         self.symbols: list[tuple[Crop, NDArray[np.bool_]]] = []
         self.frame: Tensor | None = None  # the newest on frame
         self.last: Evaluation | None = None  # that shows the symbol
@@ -67,12 +67,11 @@ class SymbolHistory:
         if (held := result.held.get(self.name)) is None:
             return
         seen = held.measurement
-        centre = (math.nan, math.nan)
+        centre = [math.nan, math.nan]
         if int(seen.code) == ExtractionStatus.SEEN:
             height, width = seen.symbol.shape
             axes = image_axes(height, width, seen.crop.u_start, seen.crop.v_start, seen.symbol)
-            u, v = appearance(seen.symbol, axes).centroids[0].tolist()
-            centre = (u, v)
+            centre = appearance(seen.symbol, axes).centroids[0].tolist()
             if result.step in self._keep:
                 self.symbols.append((seen.crop, (seen.symbol > 0.5).cpu().numpy()))
         self.path.append(centre)

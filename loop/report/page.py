@@ -19,7 +19,7 @@ from luxloop.loop.recording.remedies import SHADOW
 from luxloop.loop.recording.summary import Summary
 from luxloop.loop.report.courses import write_courses
 from luxloop.loop.report.highlights import Highlights
-from luxloop.loop.report.picture import MARKS_RGB, WALL_DEG, camera_luminance, marks, readable, wall_light, white_of
+from luxloop.loop.report.picture import MARKS_RGB, WALL_DEG, camera_luminance, marks, readable, rectangle, wall_light, white_of
 from luxloop.loop.report.run_table import processing
 from luxloop.loop.report.style import SHARES, columns, drawing, field, page_title, rows
 from luxloop.loop.report.symbol import HIGH_IN, draw_symbol
@@ -156,10 +156,15 @@ def _observers(figure: SubFigure, observed: Sequence[tuple[Evaluation, ObservedS
 
 
 def _from_above(axes: Axes, simulation: Simulation, last: Evaluation) -> None:
+    axes.set(xlabel="ahead in m", ylabel="to the left in m")
+    for each in last.now.objects:
+        if each.since_s <= last.time_s < each.until_s:
+            foot = transform(each.T_world_object.double(), rectangle(*each.size_m[:2]))[:2].T.numpy()
+            colour = _colour("masked" if each.name in last.masked else "tracked")
+            axes.add_patch(Polygon(foot, fill=False, color=colour, linewidth=1.2))
     if (truth := simulation.truth) is None:
-        _outlines(axes, last)
-        axes.set(xlabel="ahead in m", ylabel="to the left in m", title="Objects from above, at the end; the light on the road is unknown")
-        axes.set(xlim=BIRDSEYE_X_M, ylim=BIRDSEYE_Y_M)
+        title = "Objects from above, at the end; the light on the road is unknown"
+        axes.set(xlim=BIRDSEYE_X_M, ylim=BIRDSEYE_Y_M, title=title)
         return
     light, extent = _from_near(lambda view: truth.through(view, last.time_s).light(last.lights, last.now.commands)[0])
     most = float(light.max().clip(1, BRIGHTEST_ROAD_LX))
@@ -169,9 +174,7 @@ def _from_above(axes: Axes, simulation: Simulation, last: Evaluation) -> None:
     if levels:
         lines = axes.contour(light, levels=levels, colors="white", linewidths=0.6, extent=extent, origin="upper")
         axes.clabel(lines, fmt="%g lx", fontsize=7)
-    _outlines(axes, last)
-    axes.set(xlabel="ahead in m", ylabel="to the left in m", title="Illuminance from above, at the end")
-    axes.set(xlim=extent[:2], ylim=extent[2:])
+    axes.set(xlim=extent[:2], ylim=extent[2:], title="Illuminance from above, at the end")
     ticks = [tick for tick in (0.1, 0.3, 1, 3, 10, 30) if tick <= most]
     extend = "max" if light.max() > most else "neither"
     axes.figure.colorbar(shown, ax=axes, pad=0.01, ticks=ticks, extend=extend, format="%g lx").minorticks_off()
@@ -179,16 +182,6 @@ def _from_above(axes: Axes, simulation: Simulation, last: Evaluation) -> None:
 
 def _colour(kind: str) -> tuple[float, ...]:
     return tuple(value / 255 for value in MARKS_RGB[kind])
-
-
-def _outlines(axes: Axes, last: Evaluation) -> None:
-    """Draw the outlines of the objects that the car knows."""
-    for each in last.now.objects:
-        if each.since_s <= last.time_s < each.until_s:
-            x, y = each.size_m[0] / 2, each.size_m[1] / 2
-            foot = torch.tensor([[x, x, -x, -x], [y, -y, -y, y], [0.0] * 4], dtype=torch.float64)
-            colour = _colour("masked" if each.name in last.masked else "tracked")
-            axes.add_patch(Polygon(transform(each.T_world_object.double(), foot)[:2].T.numpy(), fill=False, color=colour, linewidth=1.2))
 
 
 def _from_near(look: Callable[[View], torch.Tensor]) -> tuple[NDArray[np.floating], tuple[float, float, float, float]]:

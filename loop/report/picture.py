@@ -93,9 +93,14 @@ def _zone(name: str, zone: ZoneParams, view: View) -> Mark:
 
 
 def _target(symbol: SymbolParams, view: View) -> Lines:
-    x, y = symbol.length_m / 2, symbol.width_m / 2
-    corners = torch.tensor([[x, x, -x, -x], [y, -y, -y, y], [0.0] * 4], dtype=torch.float64)
-    return _seen(corners + torch.tensor([[symbol.x_m], [symbol.y_m], [0.0]], dtype=torch.float64), RING, view)
+    centre = torch.tensor([[symbol.x_m], [symbol.y_m], [0.0]], dtype=torch.float64)
+    return _seen(rectangle(symbol.length_m, symbol.width_m) + centre, RING, view)
+
+
+def rectangle(length_m: float, width_m: float) -> Tensor:
+    """Corners `[3, 4]` m of a rectangle on the plane z = 0 around the origin, in the order of its border."""
+    x, y = length_m / 2, width_m / 2
+    return torch.tensor([[x, x, -x, -x], [y, -y, -y, y], [0.0] * 4], dtype=torch.float64)
 
 
 def _tracks(look: FrameDetections, classes: tuple[Category, ...], masked: frozenset[str]) -> tuple[Mark, ...]:
