@@ -17,7 +17,8 @@ from torch import Tensor
 
 from luxloop.controllers.pixels.jpo_part import PixelGoal, pixel_goal
 from luxloop.controllers.pixels.jpo_solvers import least_error, least_squares
-from luxloop.controllers.pixels.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints
+from luxloop.controllers.pixels.mrpc import reduce_setpoints
+from luxloop.controllers.pixels.pixel_major import MrpcParams, PixelMajor, pixel_major
 from luxloop.controllers.pixels.primitives import I_V
 from luxloop.controllers.pixels.rthc import Setpoints
 from luxloop.controllers.pixels.windows import whole

@@ -15,7 +15,7 @@ from torch import Tensor
 from luxloop import Ego, Observation, ProjectionCommand, Simulation, load
 from luxloop.controllers.symbol.heights.feedforward import height_map_of
 from luxloop.controllers.symbol.heights.height_controller import HeightControllerParams, region_of
-from luxloop.controllers.symbol.heights.height_map import drawn_on
+from luxloop.controllers.symbol.heights.height_map import draw_on
 from luxloop.perception.camera import camera_view
 from luxloop.world.frames import inverse, transform
 
@@ -39,7 +39,7 @@ class TruePose:
         eye, *lamps = transform(now.T_ground_body, self.eyes).T
         region = region_of(self.symbol, *HeightControllerParams().beyond_m)
         relief = height_map_of(self.road.z, region, eye, T_ground_plane=now.T_world_ground)
-        return drawn_on(relief, torch.stack(lamps).float(), self.symbol, inverse(now.T_ground_body))
+        return draw_on(relief, torch.stack(lamps).float(), self.symbol, inverse(now.T_ground_body))
 
     def step(self, state: int, observation: Observation) -> int:
         return state + 1

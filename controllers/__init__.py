@@ -1,4 +1,4 @@
-"""From facts to light. Imports `perception` and `world`.
+"""From measurements to light. Imports `perception` and `world`.
 
 For `loop`: pixel controllers, `pixels.ssc.Ssc` and `jpo`, which turn `pixels.primitives.Primitives` into utilisations; symbol controllers
 by name, `symbol.build_controller`, with protocol and sensor in `symbol.sensing`; `functions.planner.Planner`, which turns a

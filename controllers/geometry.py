@@ -1,22 +1,29 @@
-"""Rectangles of lighting functions: boxes around objects, strips and areas on the road; batch dimensions first."""
+"""Rectangles for lighting functions: faces of boxes, strips and areas on the road; batch dimensions first."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from luxloop.controllers.pixels.primitives import Primitives, Quantity, rectangle
+
 
 @dataclass(frozen=True)
 class Place:
-    """Rectangles `[..., 3]` m in the world: a corner, two sides along symbol u and v, and the unit normal of the side that takes light.
+    """Rectangles `[..., 3]` m in the world: a corner, the edges along symbol u and v, and the unit normal of the side that takes light.
 
-    To a reader u points right and v down, so the normal towards the reader is -d1 x d2.
+    For a reader u points right and v down, so the normal towards the reader is -d1 x d2.
     """
 
     origin: Tensor
     d1: Tensor
     d2: Tensor
     normal: Tensor
+
+    def light(self, value: float, quantity: Quantity, **keys: Any) -> Primitives:
+        """A primitive on the rectangle. value: setpoint at symbol value 1. keys: further arguments of `rectangle`."""
+        return rectangle(self.origin, self.d1, self.d2, value, quantity, normal=self.normal, **keys)
 
 
 def cuboid(T_world_box: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -38,9 +45,9 @@ def cuboid(T_world_box: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, Tens
 
 
 def strip(T_world_road: Tensor, start: Tensor, stop: Tensor, width_m: float) -> Place:
-    """A rectangle `[..., 3]` on the road from the middle of its near side to that of its far one; image row 0 lies at the far side.
+    """A rectangle `[..., 3]` on the road between the middles of its near and far side; image row 0 lies at the far side.
 
-    T_world_road: `[4, 4]`, the road is its plane z = 0. start, stop: `[..., 2]` m in that frame.
+    T_world_road: `[4, 4]`, frame whose plane z = 0 is the road. start, stop: `[..., 2]` m in this frame, middles of near and far side.
     """
     along = stop - start
     right = torch.stack([along[..., 1], -along[..., 0]], -1)
@@ -49,7 +56,7 @@ def strip(T_world_road: Tensor, start: Tensor, stop: Tensor, width_m: float) -> 
 
 
 def on_road(T_world_road: Tensor, origin: Tensor, d1: Tensor, d2: Tensor) -> Place:
-    """A rectangle on the road, given in its plane `[..., 2]` m, in the world `[..., 3]` m."""
+    """A rectangle on the road in the world, from origin, d1 and d2 `[..., 2]` m in the road's plane."""
     T = T_world_road.to(origin)
     p, a, b = (torch.nn.functional.pad(v, (0, 1)) @ T[:3, :3].T for v in (origin, d1, d2))
     return Place(p + T[:3, 3], a, b, T[:3, 2])

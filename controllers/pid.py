@@ -1,7 +1,7 @@
 """A bank of PID loops as tensors: explicit time step, filtered derivative, output and rate limits, anti-windup, bumpless reset.
 
-The sign is `kp * error + ...`; for a plant of negative gain, negate the error. Time is in whatever unit `dt` has (seconds, or control steps
-with `dt = 1`); every time constant and rate below is in that unit.
+The output is `kp * error + ...`; for a plant of negative gain, negate the error. All time constants and rates are in the time unit of `dt`:
+seconds, or control steps with `dt = 1`.
 """
 
 import math
@@ -10,18 +10,18 @@ from dataclasses import dataclass
 from typing import Literal
 
 import torch
-from pydantic import Field, model_validator
+from pydantic import Field
 from torch import Tensor
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.params import NotNegative, Params, Real
+from luxloop.world.params import NotNegative, Params, Real, in_order
 
 Form = Literal["position", "incremental"]
 UNLIMITED = {"lower": -math.inf, "upper": math.inf, "rate_limit": math.inf, "tracking_time": math.inf}  # defaults of parameters
 
 
 class PidParams(Params):
-    """One loop as in a scenario file; by default limits are infinite and options off."""
+    """Parameters of one loop; by default limits are infinite and options off."""
 
     kp: Real = Field(0.0, description="proportional gain")
     ki: Real = Field(0.0, description="integral gain, per unit of time")
@@ -35,17 +35,14 @@ class PidParams(Params):
     )
     form: Form = Field("position", description="whether the PID sum is the output (position) or the output's rate of change (incremental)")
 
-    @model_validator(mode="after")
-    def _ordered_limits(self) -> "PidParams":
-        if self.lower is not None and self.upper is not None and self.lower >= self.upper:
-            raise ValueError(f"lower = {self.lower} must be smaller than upper = {self.upper}")
-        return self
+    _limits_in_order = in_order("lower", "upper")
 
 
 @dataclass(frozen=True)
 class PidGains:
-    """A bank of n loops; every tensor is `[..., n]` or broadcasts to it. Infinity means "no limit" and "no anti-windup" (so does a
-    tracking time of 0)."""
+    """Gains of a bank of n loops, tensors `[..., n]` or broadcastable. Infinite limits are off; so is anti-windup with a tracking time of
+    infinity or 0.
+    """
 
     kp: Tensor
     ki: Tensor

@@ -9,11 +9,11 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from luxloop.controllers.geometry import Place
-from luxloop.controllers.pixels.primitives import Primitives, rectangle
+from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.secondary import PotentialLight
 from luxloop.world.frames import View, inverse, transform
 from luxloop.world.headlight.lamp import Commands
-from luxloop.world.params import Distance, Length, NotNegative, Params, Real
+from luxloop.world.params import Distance, Length, NotNegative, Params, Real, in_order
 from luxloop.world.scene.body import Body, Figure
 from luxloop.world.symbols import SymbolSource
 from luxloop.world.traffic.tracked import Category
@@ -22,7 +22,7 @@ LAYERS = 16  # most layers of primitives that a function may stack
 Side = Literal["left", "right"]
 Indicator = Literal["off", "left", "right", "hazard"]
 Priority = Annotated[int, Field(ge=0, le=100, description="where functions overlap, the higher priority is drawn")]
-DrawingModules = Annotated[tuple[str, ...], Field(description="lamps or modules that draw it; left out: all")]
+DrawingModules = Annotated[tuple[str, ...], Field(description="lamps or modules that draw the light; left out: all")]
 MASK = 1000  # priority of masks: above every function's own, which are at most 100
 
 
@@ -33,7 +33,7 @@ class TrackedObject:
     name: unique name of the object or its track. category: its class. T_world_object: `[4, 4]`, pose of the box in the world, origin at the
     centre of its foot, x along its length, z up. size_m: length, width, height. since_s: time at which the tracker first saw it. until_s:
     time at which the tracker lost it, infinite while it is tracked; a lost object stays in the list while its functions fade out.
-    confidence: 0..1, of its class, filtered over frames. score: the same in the last frame alone, NaN if it was not detected there.
+    confidence: 0..1, of the class, filtered over frames. score: confidence in the last frame alone, NaN without a detection.
     """
 
     name: str
@@ -52,7 +52,7 @@ class TrackedObject:
         return torch.tensor([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]], dtype=torch.float64)
 
     def present(self, time_s: float) -> bool:
-        """Whether the tracker has it at a time."""
+        """Whether the object is tracked at a time."""
         return self.since_s <= time_s < self.until_s
 
     @classmethod
@@ -90,15 +90,15 @@ class CameraImage:
 class Situation:
     """The situation at one time.
 
-    All positions are in the ground frame, which moves with the car; it is the world frame of lighting functions.
+    All positions are in the ground frame, which moves with the car and is the world frame of lighting functions.
 
     time_s: since the start. T_world_vehicle: `[4, 4]`, pose of the vehicle frame; the road is its plane z = 0. lamps: `[L, 3]` m,
     photometric centres of all modules, by the measured attitude of the body. objects: the tracked objects, lost ones until they have faded.
     speed_m_s: of the car. curvature_1_m: of its course, left positive. wet: whether the road is wet. street_lit: whether street lamps light
-    the road. symbols: the functions' images by name. seen: the last frame, None without a camera or before the first frame. lights:
-    potential light of each module as turned and dimmed, by name. pitch_rad: measured pitch of the body relative to the road, nose down
-    positive, 0 without a sensor. commands: turn and dimming of each module, empty if all are at rest. indicator: as the driver has switched
-    it; `hazard` indicates both sides.
+    the road. symbols: the functions' images by name. seen: the last frame, None without a camera or before the first frame. lights: names
+    and potential lights of the modules in their commanded turn and dimming. pitch_rad: measured pitch of the body relative to the road,
+    nose down positive, 0 without a sensor. commands: turn and dimming of each module, empty if all are at rest. indicator: direction
+    indicator; `hazard` indicates both sides.
     """
 
     time_s: float
@@ -117,7 +117,7 @@ class Situation:
     indicator: Indicator = "off"
 
     def under(self, commands: Commands) -> "Situation":
-        """The same situation with the modules turned and dimmed as commanded."""
+        """The situation with commanded turns and dimming of the modules."""
         lights = ((name, light.under(command)) for (name, light), command in zip(self.lights, commands, strict=True))
         return replace(self, commands=commands, lights=tuple(lights))
 
@@ -154,14 +154,7 @@ class SelectionParams(Params):
     nearer_than_m: Length = Field(200.0, description="select only objects nearer than this")
     farther_than_m: Distance = Field(0.0, description="select only objects at least this far away")
 
-    @model_validator(mode="after")
-    def _some_distance_is_meant(self) -> Self:
-        if self.farther_than_m >= self.nearer_than_m:
-            raise ValueError(
-                f"farther_than_m: no object is at least {self.farther_than_m:g} m away and nearer than {self.nearer_than_m:g} m; "
-                "lower it, or raise nearer_than_m"
-            )
-        return self
+    _distances_in_order = in_order("farther_than_m", "nearer_than_m")
 
     def select(self, now: Situation) -> tuple[TrackedObject, ...]:
         """The selected objects that lie ahead, including those that the tracker has lost."""
@@ -172,6 +165,10 @@ class SelectionParams(Params):
             and (self.names is None or each.name in self.names)
             and self.farther_than_m <= now.distance_m(each) < self.nearer_than_m
         )
+
+    def select_present(self, now: Situation) -> list[TrackedObject]:
+        """The selected objects that are tracked now."""
+        return [each for each in self.select(now) if each.present(now.time_s)]
 
 
 class LightingFunction(Protocol):
@@ -184,7 +181,7 @@ class LightingFunction(Protocol):
 
 @runtime_checkable
 class AdaptiveFunction(Protocol):
-    """A lighting function that closes a loop over camera frames. Its state is a value, so a run can resume at any step."""
+    """A lighting function that closes a loop over camera frames; its state is a value, so that a run can resume at any step."""
 
     def start(self) -> Any:
         """The state before the first frame."""
@@ -199,22 +196,18 @@ class AdaptiveFunction(Protocol):
         ...
 
     def base_share(self, state: Any) -> float | None:
-        """The wanted share of the base beam, 0..1, or None for no demand; of several demands the largest applies."""
+        """Demanded share of the base beam, 0..1, or None for no demand; the largest demand of all functions applies."""
         ...
 
 
 class ScheduleParams(Params):
     """When a function is active."""
 
-    start_s: Real | None = Field(None, description="time from which it is active; left out: from the start")
-    stop_s: Real | None = Field(None, description="time until which it is active; left out: to the end")
-    indicated: Side | None = Field(None, description="active only while the indicator shows this side; left out: whatever it shows")
+    start_s: Real | None = Field(None, description="time from which the function is active; left out: from the start")
+    stop_s: Real | None = Field(None, description="time until which the function is active; left out: to the end")
+    indicated: Side | None = Field(None, description="active only while the indicator shows this side; left out: always")
 
-    @model_validator(mode="after")
-    def _stops_after_its_start(self) -> Self:
-        if self.start_s is not None and self.stop_s is not None and self.stop_s <= self.start_s:
-            raise ValueError(f"stop_s: {self.stop_s:g} s is not after start_s = {self.start_s:g} s, so it is never active; raise it")
-        return self
+    _times_in_order = in_order("start_s", "stop_s")
 
     def active(self, now: Situation) -> bool:
         """Whether the function is active now."""
@@ -222,7 +215,7 @@ class ScheduleParams(Params):
         return begun and (self.stop_s is None or now.time_s < self.stop_s) and not self.waits(now)
 
     def waits(self, now: Situation) -> bool:
-        """Whether it waits for the indicator of its side."""
+        """Whether the function waits for the indicator of its side."""
         return self.indicated is not None and not now.indicates(self.indicated)
 
 
@@ -235,9 +228,9 @@ class DrawingParams(ScheduleParams):
     value: float = Field(1.0, ge=0, le=1e9, description="setpoint of a white image; black is 0, or 1 for u_rel, which keeps the base beam")
     weight: NotNegative = Field(1.0, description="weight against other light where a pixel lights more than this")
     priority: Priority = 0
-    forced: bool = Field(False, description="drawn even behind other primitives, masks excepted")
+    forced: bool = Field(False, description="drawn even behind other primitives, except masks")
     modules: DrawingModules = ()
-    share: bool = Field(True, description="the modules that draw it give its cd or lx together; false: each gives the whole value")
+    share: bool = Field(True, description="the drawing modules share the cd or lx; false: each module gives the whole value")
 
     @model_validator(mode="after")
     def _share_of_a_pixel(self) -> Self:
@@ -255,13 +248,9 @@ class DrawingParams(ScheduleParams):
             image = (image * self.value + (1 - image)) / value
         if opacity is not None:
             image = torch.stack([torch.ones_like(opacity) if image is None else image, opacity])
-        return rectangle(
-            place.origin,
-            place.d1,
-            place.d2,
+        return place.light(
             value,
             self.quantity,
-            normal=place.normal,
             symbol=image,
             weight=self.weight,
             forced=self.forced,
@@ -272,7 +261,7 @@ class DrawingParams(ScheduleParams):
 
 
 def fade(time_s: float, since_s: float, until_s: float, in_s: float, out_s: float) -> float:
-    """Strength of a function at a time, 0..1: it rises from `since_s` for `in_s` and falls from `until_s` for `out_s` (T 3.5.1)."""
+    """Strength of a function at a time, 0..1: a rise from `since_s` on for `in_s`, and a fall from `until_s` on for `out_s` (T 3.5.1)."""
     return min(_sigmoid(time_s - since_s, in_s), 1 - _sigmoid(time_s - until_s, out_s))
 
 

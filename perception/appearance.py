@@ -19,7 +19,7 @@ class Axes:
 
     @cached_property
     def steps(self) -> tuple[Tensor, Tensor]:
-        """Distance of the columns and of the rows, `[..., 1]` each; zero where there are not two."""
+        """Distance of the columns and of the rows, `[..., 1]` each; zero for a single one."""
         return _step(self.u), _step(self.v)
 
 
@@ -48,7 +48,7 @@ class Appearance:
 
 
 def _step(axis: Tensor) -> Tensor:
-    """Distance of the pixels of an axis `[..., n]`, `[..., 1]`; zero where there are not two."""
+    """Distance of the pixels of an axis `[..., n]`, `[..., 1]`; zero for a single pixel."""
     return axis[..., 1:2] - axis[..., :1] if axis.shape[-1] > 1 else axis.new_zeros(*axis.shape[:-1], 1)
 
 
@@ -70,7 +70,7 @@ def area(image: Tensor, axes: Axes) -> Tensor:
 def appearance(image: Tensor, axes: Axes) -> Appearance:
     """Raw moments (T eq. 9.4.1), centre (T eq. 9.4.2), quadrant centroids and second-moment shape of a symbol image `[..., h, w]`.
 
-    The image is split at its centre; pixels on the border are cut in two, each part with its own centre, so nothing jumps.
+    The image is split at its centre. Pixels on the split are divided by area, each part with its own centre, so centroids are continuous.
     An empty image gives NaN.
     """
     u, v = axes.u.to(image), axes.v.to(image)
@@ -95,7 +95,7 @@ def appearance(image: Tensor, axes: Axes) -> Appearance:
 
 
 def _quadrants(seen: Appearance, *signs: int) -> Tensor:
-    """Sum of the quadrants' centroids `[..., 2]` with these signs, over 2 (T eq. 9.4.3, 9.4.4 of one symbol)."""
+    """Half the signed sum of the quadrants' centroids, `[..., 2]` (T eq. 9.4.3, 9.4.4 of one symbol)."""
     tl, tr, bl, br = seen.centroids[..., 1:, :].unbind(-2)
     a, b, c, d = signs
     return ((tr * a + tl * b) + (br * c + bl * d)) / 2
@@ -103,12 +103,12 @@ def _quadrants(seen: Appearance, *signs: int) -> Tensor:
 
 @dataclass(frozen=True)
 class DegreeOfFreedom:
-    """A coordinate of the symbol's pose, and the error of the same name. Another coordinate may move that error: x (ahead) moves e_y.
+    """A coordinate of the symbol's pose, and the error with the same name.
 
-    name, unit: "x" in "m" or "roll" in "rad", say. probe: half the step about the target for measuring its plant gain, in its unit; wide
-    against pixel edges. moves: the error that the coordinate moves most. feature: `[...]`, of which the error of this name is a difference;
-    its second argument is the key `features.shape`. of_pose: the coordinate in poses `[..., 4, 4]`. shown, error: texts of the columns in
-    recordings: description of the coordinate; unit and description of the error.
+    name, unit: such as "x" in "m" or "roll" in "rad". probe: half the step about the target that measures the plant gain, in the unit;
+    large against pixel edges. moves: name of the error that the coordinate changes most; x (ahead) changes e_y. feature: `[...]`, the
+    feature whose difference is the error; second argument: the key `features.shape`. of_pose: the coordinate of poses `[..., 4, 4]`. shown,
+    error: texts of the columns in recordings: description of the coordinate; unit and description of the error.
     """
 
     name: str
@@ -122,20 +122,20 @@ class DegreeOfFreedom:
 
     @property
     def suffix(self) -> str:
-        """Its unit in files, "m" or "deg"."""
+        """The unit in files, "m" or "deg"."""
         return "m" if self.unit == "m" else "deg"
 
     @property
     def key(self) -> str:
-        """Its name in scenarios and the columns of recordings, such as "roll_deg"."""
+        """The name in scenarios and in columns of recordings, such as "roll_deg"."""
         return f"{self.name}_{self.suffix}"
 
     def of_file(self, value: float) -> float:
-        """A scenario's value in its unit."""
+        """A scenario's value in m or rad."""
         return value if self.unit == "m" else math.radians(value)
 
     def limits(self, params: object, name: str | None = None) -> tuple[float, float]:
-        """Limits `<name>_range_<suffix>` of params, in its unit; infinite by default."""
+        """Limits `<name>_range_<suffix>` of params in m or rad; infinite by default."""
         low, high = getattr(params, f"{name or self.name}_range_{self.suffix}", (-math.inf, math.inf))
         return self.of_file(low), self.of_file(high)
 
@@ -192,7 +192,7 @@ def probes(like: Tensor) -> Tensor:
 
 
 def error_indices() -> list[int]:
-    """For each degree of freedom the index of the error that it moves: x acts on the image's v, y on its u."""
+    """For each degree of freedom the index of the error that it changes most: x acts on the image's v, y on u."""
     names = [degree.name for degree in DEGREES]
     return [names.index(degree.moves) for degree in DEGREES]
 
@@ -206,5 +206,5 @@ def features(seen: Appearance, shape: str) -> Tensor:
 
 
 def errors(current: Tensor, target: Tensor) -> Tensor:
-    """e_x, e_y, e_roll, e_pitch `[..., n]`: features of the current symbol minus those of the target (T eq. 9.4.3, 9.4.4)."""
+    """e_x, e_y, e_roll, e_pitch `[..., n]`: current features minus target features (T eq. 9.4.3, 9.4.4)."""
     return current - target

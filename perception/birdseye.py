@@ -26,9 +26,7 @@ class Region:
 
 
 def region_around(x_m: float, y_m: float, length_m: float, width_m: float, cell_m: float = 0.04) -> Region:
-    """Region in which a symbol of this size, aimed at (x, y), may appear; it extends farther behind than before, since light grazes the
-    road.
-    """
+    """Region in which a symbol of a size with its target at (x, y) may appear; larger beyond the target, since light grazes the road."""
     return Region(max(x_m - 2 * length_m, 1.0), x_m + 3.5 * length_m, y_m + 2.5 * width_m, y_m - 2.5 * width_m, cell_m)
 
 
@@ -55,7 +53,7 @@ class BirdsEye:
         return BirdsEye(self.map_u[rows, cols], self.map_v[rows, cols], self.columns, Axes(self.axes.u[cols], self.axes.v[rows]))
 
     def cells_of(self, v: slice, u: slice) -> tuple[slice, slice]:
-        """Rows and columns of the view that hold all cells that `rectify` samples from a part of the image in px."""
+        """Rows and columns of the view with all cells that `rectify` samples from rows v and columns u of the image."""
         low, high = self._v_of_rows
         rows = span((high > v.start - 0.5) & (low < v.stop + 0.5))  # a pixel is interpolated to half a pixel beyond its border
         across, half = self.map_u[rows], self.columns // 2 + 0.5
@@ -69,9 +67,15 @@ class BirdsEye:
 
 
 def span(chosen: Tensor) -> slice:
-    """Slice from the first to the last true of `[n]` bool, empty if none is."""
+    """Slice from the first to the last True of `[n]` bool; empty without any."""
     found = chosen.nonzero()
     return slice(int(found[0]), int(found[-1]) + 1) if len(found) else slice(0, 0)
+
+
+def hull(one: slice, other: slice) -> slice:
+    """The smallest slice that contains two slices, either of which may be empty."""
+    there = [each for each in (one, other) if each.stop > each.start]
+    return slice(min(each.start for each in there), max(each.stop for each in there)) if there else slice(0, 0)
 
 
 def cells(region: Region) -> Tensor:
@@ -86,8 +90,8 @@ def cells(region: Region) -> Tensor:
 def birds_eye(region: Region, view: View, road: Tensor | None = None, dtype: torch.dtype = torch.float32) -> BirdsEye:
     """The rectified view of a region in a camera's view.
 
-    road: `[3, rows, cols]` m, points of the road under the cells, by default the cells themselves. A point that nearer cells of its column
-    hide has no image coordinates.
+    road: `[3, rows, cols]` m, points of the road under the cells, by default the cells themselves. Points that nearer cells of the same
+    column hide have no image coordinates.
     """
     ground = cells(region)
     uv, depth = view.project((ground if road is None else road).flatten(1))
@@ -104,7 +108,7 @@ def rectify(view: BirdsEye, image: Tensor, u_start: int = 0, v_start: int = 0) -
     """Sample camera images `[..., height, width]` onto the plane: `[..., rows, cols]`, zero outside of them.
 
     image: the whole image, or a crop of it that starts at (u_start, v_start) px. A cell takes the mean of the image columns that it covers,
-    since with samples further apart than pixels an edge would jump from cell to cell.
+    so that edges move continuously over the cells.
     """
     half = view.columns // 2
     flat = avg_pool2d(pad(image.reshape(-1, 1, *image.shape[-2:]), (2 * half, 2 * half)), (1, view.columns), 1)

@@ -1,4 +1,4 @@
-"""Boxes in the image and on the road: their position, their hidden parts, and vehicles by their own lamps."""
+"""Boxes in the image and on the road: positions, hidden parts, and vehicles located by their lamps."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -26,10 +26,10 @@ class RoadBoxes:
 
 
 def place_boxes(boxes: Tensor, categories: tuple[Category, ...], view: View) -> RoadBoxes:
-    """Upright boxes whose side facing the camera fills the image boxes `[n, 4]` px; their length is that of their class.
+    """Upright boxes on the road whose near side fills the image boxes `[n, 4]` px, with the length of their class.
 
-    An error of one pixel at the foot moves a box by `d^2 / (f h)` along the line of sight (1.6 m at 50 m for f = 1194 px and a camera
-    height h = 1.3 m), but not in the image.
+    An error of one pixel at the foot displaces a box by `d^2 / (f h)` along the line of sight: 1.6 m at 50 m for f = 1194 px and a camera
+    height h = 1.3 m.
     """
     T = view.T_world_view
     left, top, right, bottom = boxes.to(T).unbind(-1)
@@ -54,9 +54,8 @@ def nearness(view: View, u: Tensor, v: Tensor) -> Tensor:
 
 
 def road_rows(view: View, u: Tensor) -> tuple[Tensor, float]:
-    """Row of the horizon in columns `[...]` px, and the inverse of the camera's height in 1/m along its view.
-
-    The latter is the growth of a metre on the road, in px, from row to row.
+    """Row of the horizon in columns `[...]` px, and the change of scale in px per m and row: a metre on the road is larger by so many px
+    from row to row.
     """
     _, down, ahead = view.T_world_view[2, :3].unbind()
     across = view.T_world_view[2, 0] * (u - view.cx) / view.fx
@@ -68,7 +67,7 @@ def _height(view: View) -> float:
 
 
 def _direction(view: View, u: Tensor, v: Tensor) -> Tensor:
-    """`[..., 3]` in the world, of depth 1."""
+    """Directions `[..., 3]` in the world through image points, of depth 1."""
     return torch.stack([(u - view.cx) / view.fx, (v - view.cy) / view.fy, torch.ones_like(u)], -1) @ view.T_world_view[:3, :3].T
 
 
@@ -87,9 +86,9 @@ WHOLE = 0.85  # of the expected width or height: a smaller box is a part
 MEASURED = (0.05, 0.08)  # standard deviation of the foot of a detected box, across and down, in the root of its area
 MISSING = 0.5  # standard deviation of a part, as a share of its missing width or height
 EDGE_PX = 3.0  # a box that ends nearer to the left or right border is cut off
-LEANS = 0.2  # share of the way from there to its own place
+LEANS = 0.2  # share by which a completed part moves from its least displacement to its own middle and foot
 INSIDE = 0.9  # least share of a box inside a track's box for it to be a part of that object
-NEARER = 0.05  # of its height, by which a box may end above the object that it occludes
+NEARER = 0.05  # height by which a box may end above the foot of the object that it occludes, in heights of the object
 ALIKE: tuple[frozenset[Category], ...] = (frozenset({"pedestrian", "cyclist", "motorcycle"}), frozenset({"car", "truck"}))  # by their parts
 SOLID: frozenset[Category] = frozenset({"car", "truck"})  # classes with opaque boxes
 
@@ -102,10 +101,12 @@ def limits_m(classes: tuple[Category, ...]) -> Tensor:
 
 
 def standing(boxes: Tensor, categories: tuple[Category, ...], view: View) -> Tensor:
-    """Boxes `[n, 4]` px completed to the height of their classes: by a dark top, and by a foot that is hidden or below the image.
+    """Boxes `[n, 4]` px extended to the height of their classes: upwards by a dark top, downwards by a foot that is hidden or below the
+    image.
 
-    On the road the foot's row gives px per m. A box higher than its class allows stands nearer, on a hidden foot; by at most its own
-    height, since roads have hills. For a box that ends at the lowest row the class's usual height or width gives its place.
+    The row of the foot gives the scale in px per m on the road. A box higher than the limit of its class stands nearer on a hidden foot; it
+    grows by at most its own height, since roads have hills. For a box that ends at the lowest row of the image the usual height or width of
+    the class gives the foot.
     """
     if not len(boxes):
         return boxes
@@ -113,7 +114,7 @@ def standing(boxes: Tensor, categories: tuple[Category, ...], view: View) -> Ten
     horizon, scale = road_rows(view, (left + right) / 2)
 
     def foot(height_m: Tensor) -> Tensor:
-        """Row of the foot of an object of this height with its head at the box's top; the box's bottom if it is lower than the camera or of
+        """Row of the foot of an object with its head at the top of the box; the bottom of the box for objects lower than the camera or of
         unknown height.
         """
         taller = height_m * scale
@@ -130,10 +131,9 @@ def standing(boxes: Tensor, categories: tuple[Category, ...], view: View) -> Ten
 
 
 def complete(boxes: Tensor, expected: Tensor) -> Tensor:
-    """Boxes `[..., 4]` px; those much narrower or lower than expected `[..., 4]` get the expected width or height, moved as little as
-    needed.
+    """Boxes `[..., 4]` px, extended to the expected width or height if they are parts of the expected boxes `[..., 4]`.
 
-    As the expectation may be wrong, they lean towards the box's own middle and foot.
+    The extended box is the expected box, moved as little as needed to contain the part, and by LEANS towards the part's middle and foot.
     """
     low, high = torch.broadcast_tensors(boxes[..., :2], expected[..., :2])[0], torch.broadcast_tensors(boxes[..., 2:], expected[..., 2:])[0]
     before, behind = low - expected[..., :2], high - expected[..., 2:]
@@ -149,10 +149,11 @@ def are_parts(boxes: Tensor, expected: Tensor) -> Tensor:
     return boxes[..., 2:] - boxes[..., :2] < WHOLE * (expected[..., 2:] - expected[..., :2])
 
 
-def uncut(boxes: Tensor, expected: Tensor, width: int) -> Tensor:
-    """Boxes `[..., 4]` px, with the expected width `[..., 4]` where the left or right border of an image of this width cuts them off.
+def extend_cut(boxes: Tensor, expected: Tensor, width: int) -> Tensor:
+    """Boxes `[..., 4]` px, with the width of the expected boxes `[..., 4]` where the left or right border of an image cuts them off; width:
+    of the image.
 
-    Boxes cut by both borders are left unchanged.
+    Boxes cut by both borders are unchanged.
     """
     left, top, right, bottom = torch.broadcast_tensors(boxes, expected)[0].unbind(-1)
     wide = expected[..., 2] - expected[..., 0]
@@ -169,10 +170,10 @@ def spread_of(boxes: Tensor, expected: Tensor) -> Tensor:
     return torch.tensor(MEASURED).to(whole) ** 2 * whole.prod(-1, keepdim=True) + (MISSING * missing) ** 2
 
 
-def belonging(boxes: Tensor, expected: Tensor, whole: Tensor) -> Tensor:
-    """Which boxes `[m, 4]` may be parts of the expected boxes `[n, 4]`, `[n, m]` bool: those inside.
+def parts_of(boxes: Tensor, expected: Tensor, whole: Tensor) -> Tensor:
+    """Which boxes `[m, 4]` may be parts of the expected boxes `[n, 4]`: `[n, m]` bool, true for boxes inside.
 
-    Except where the object is seen whole, `[n]` bool, and the box ends as low or lower: that is an object before it.
+    whole: `[n]` bool, objects seen whole; a box inside such an object that ends as low or lower is an object in front.
     """
     ours, theirs = expected[:, None], boxes[None]
     inside = _common(ours, theirs) > INSIDE * _area(theirs)
@@ -180,10 +181,10 @@ def belonging(boxes: Tensor, expected: Tensor, whole: Tensor) -> Tensor:
     return inside & ~(whole[:, None] & before)
 
 
-def hiding(boxes: Tensor, expected: Tensor, whole: Tensor) -> Tensor:
-    """Which boxes `[m, 4]` would occlude expected boxes `[n, 4]` that are seen whole, `[n]` bool: `[n, m]` bool.
+def occluders_of(boxes: Tensor, expected: Tensor, whole: Tensor) -> Tensor:
+    """Which boxes `[m, 4]` would occlude expected boxes `[n, 4]` that are seen whole: `[n, m]` bool. whole: `[n]` bool.
 
-    So do boxes that are too large, around the lamps of a car in the dark.
+    A detector's too large box around the lamps of a car in the dark is such a box.
     """
     ours, theirs = expected[:, None], boxes[None]
     return whole[:, None] & (_common(ours, theirs) > INSIDE * _area(ours)) & (theirs[..., 3] > ours[..., 3])
@@ -197,8 +198,8 @@ def _area(boxes: Tensor) -> Tensor:
     return (boxes[..., 2:] - boxes[..., :2]).prod(-1)
 
 
-def alike(classes: tuple[Category, ...]) -> Tensor:
-    """`[C, C]` bool: classes with similar parts."""
+def similar_classes(classes: tuple[Category, ...]) -> Tensor:
+    """Which classes have similar parts, `[C, C]` bool."""
     groups = torch.tensor([next((k for k, each in enumerate(ALIKE) if name in each), -1 - n) for n, name in enumerate(classes)])
     return groups[:, None] == groups[None]
 
@@ -206,16 +207,17 @@ def alike(classes: tuple[Category, ...]) -> Tensor:
 SHINE: frozenset[Category] = frozenset({"car", "truck"})
 BRIGHT = 0.95  # of the largest digital number: threshold of light sources
 ABOVE_M = 0.6  # height of a lamp's middle
-APART = 0.5  # of a box's width: least distance of two lamps
-BETWEEN = 0.1  # of a box's width, the dark gap to both sides of the lamps' middle; else it is one light
-AROUND = 0.25  # of a box's width, search range for its lamps beyond its sides
+APART = 0.5  # least distance of two lamps, in widths of the box
+BETWEEN = 0.1  # half the dark gap between two lamps, in widths of the box; without a gap the spots are one light
+AROUND = 0.25  # search range for lamps beyond the sides, in widths of the box
 
 
 def by_lamps(frame: Tensor, boxes: Tensor, pixels_a_metre: Tensor, others: Tensor) -> Tensor:
-    """Boxes `[n, 4]` px moved so that the bright spots inside them are two headlamps or rear lamps; NaN without such spots.
+    """Boxes `[n, 4]` px located by two bright spots, headlamps or rear lamps; NaN without such spots.
 
-    The centre of a box goes to the centre of the outermost spots, and its foot below their mean row. frame: `[height, width]`, shares of
-    the largest digital number. pixels_a_metre: `[n]`, px per m at the boxes. others: boxes `[m, 4]` px in which bright spots are no lamps.
+    The centre of a box moves to the centre of its outermost spots, and the foot to ABOVE_M below their mean row. frame: `[height, width]`,
+    shares of the largest digital number. pixels_a_metre: `[n]`, px per m at the boxes. others: boxes `[m, 4]` px whose bright spots are
+    ignored.
     """
     v, u = (each.double().cpu() + 0.5 for each in (frame >= BRIGHT).nonzero().unbind(-1))
     u, v = (each[~_inside(u, v, others).any(0)] for each in (u, v))
@@ -233,6 +235,6 @@ def by_lamps(frame: Tensor, boxes: Tensor, pixels_a_metre: Tensor, others: Tenso
 
 
 def _inside(u: Tensor, v: Tensor, boxes: Tensor) -> Tensor:
-    """`[n, m]`: which points lie in which boxes `[n, 4]`."""
+    """Whether points `[m]` lie in boxes `[n, 4]`: `[n, m]` bool."""
     left, top, right, bottom = boxes[..., None].unbind(1)
     return (u > left) & (u < right) & (v > top) & (v < bottom)

@@ -95,8 +95,8 @@ def average_rows(image: Tensor, oversampling: int) -> Tensor:
 def expose(luminance: Tensor, params: CameraParams, noise: Tensor | FrameNoise | None = None, *, quantise: bool = True) -> Tensor:
     """Digital numbers `[..., H, W]` of luminance `[..., H, W]` >= 0 in cd/m^2: whole numbers in luminance's floating dtype.
 
-    noise: standard normal numbers that broadcast to luminance, or the noise of a whole frame; None, like `params.noise = False`, is a
-    frame without noise. With `quantise=False` the number is left unrounded and differentiable.
+    noise: standard normal numbers, broadcastable to luminance, or the noise of a whole frame; None or `params.noise = False`: no noise.
+    quantise: False leaves the numbers unrounded and differentiable.
     """
     levels = _levels(params)
     levels_per_electron = levels / params.saturation_e
@@ -124,8 +124,8 @@ def luminance_of(dn: Tensor, params: CameraParams) -> Tensor:
 def noise_std(luminance: Tensor, params: CameraParams) -> Tensor:
     """Standard deviation in cd/m^2 of one frame's `luminance_of(expose(luminance))`, `[..., H, W]`: shot, read and quantisation noise.
 
-    Clamping is left out, which makes it smaller within three standard deviations of black (there 0.58 of this) and of saturation; beyond
-    saturation it is the value at saturation.
+    Clamping is neglected: the true deviation is smaller within three standard deviations of black (0.58 of the returned value at black) and
+    of saturation. Beyond saturation: the value at saturation.
     """
     electrons = (luminance * _electrons_per_luminance(params)).clamp_(0, params.saturation_e)
     width: float | Tensor = params.saturation_e / _levels(params)  # of a level, over which the rounding error is uniform
@@ -157,7 +157,7 @@ Speed = Annotated[float, Field(ge=-200, le=200)]
 
 
 class OncomingParams(Params):
-    """One oncoming headlamp as a source that faces the camera; it lights no surfaces and is never occluded."""
+    """An oncoming headlamp: a source that faces the camera, lights no surfaces and is never occluded."""
 
     position_m: tuple[Metres, Metres, Metres] = Field(
         examples=[[40.0, 3.0, 0.7]], description="position in the world at the scenario's start"

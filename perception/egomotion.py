@@ -11,7 +11,7 @@ from torch import Tensor
 from luxloop.world.frames import pose, rotation
 from luxloop.world.scene.vehicle import VehicleParams, body_pose, ground_pose
 
-STANDS_M_S = 0.1  # below any driving speed, and above the noise of a speed sensor at rest
+STANDS_M_S = 0.1  # speed below which the vehicle stands: above the noise of a speed sensor
 
 Sensor = Literal["wheels", "gyro", "attitude", "accelerometer", "suspension"]
 VALUES: Final[Mapping[Sensor, int | None]] = {"wheels": None, "gyro": 3, "attitude": 8, "accelerometer": 3, "suspension": 4}  # None: any
@@ -40,7 +40,7 @@ Samples = Mapping[Sensor, Sample]
 
 
 def newest(known: Samples, come: Iterable[Sample]) -> Samples:
-    """The newest sample of each sensor, by time of measurement, of known and new ones."""
+    """The newest sample of each sensor, by time of measurement, of known samples and samples that have come."""
     return {each.sensor: each for each in sorted((*known.values(), *come), key=lambda each: each.measured_s)}
 
 
@@ -48,14 +48,14 @@ def newest(known: Samples, come: Iterable[Sample]) -> Samples:
 class Ego:
     """The vehicle's measured motion.
 
-    time_s: start of the next exposure; no newer sample is used. on_s: duration of that exposure. attitude: `[3]`, heave in m, roll and
+    time_s: start of the next exposure; all samples are older. on_s: duration of the next exposure. attitude: `[3]`, heave in m, roll and
     pitch (nose down) in rad of the body over the ground, NaN if not measured. attitude_s: its time of measurement. rates: `[3]`, of heave
     in m/s, and of roll and pitch in the world in rad/s, NaN if not measured. rates_s: time of measurement of the roll and pitch rates.
     ground: `[4]` at attitude_s, height in m of the ground frame's origin over a level plane, slope of the ground (nose down) in rad, and
     their rates in m/s and rad/s; 0 if not measured. speed_m_s: `[]`, of the rear axle, mean since the previous sample, extrapolated to
     time_s by an accelerometer if there is one. speed_s: its time of measurement. yaw_rate_rad_s: `[]`, left positive, mean since the
-    previous sample, 0 without a gyro. pivot_x_m: x in the ground frame about which the body rolls and pitches. rear_x_m: x of the rear axle
-    there.
+    previous sample, 0 without a gyro. pivot_x_m: x in the ground frame of the axis of roll and pitch. rear_x_m: x in the ground frame of
+    the rear axle.
     """
 
     time_s: float
@@ -98,9 +98,9 @@ class Ego:
         return tuple(sorted({time_s for time_s in (self.attitude_s, self.rates_s, self.speed_s) if not math.isnan(time_s)}))
 
     def way(self, duration_s: float) -> Tensor:
-        """Pose `[4, 4]` of the level frame after `duration_s` s at this speed and yaw rate, in the level frame at the start.
+        """Pose `[4, 4]` of the level frame after a duration at constant speed and yaw rate, in the level frame at the start.
 
-        It holds for the ground frame as well while its slope does not change.
+        Also the pose of the ground frame, while the slope is constant.
         """
         turn, length = self.yaw_rate_rad_s * duration_s, self.speed_m_s * duration_s
         chord = length * torch.sinc(turn / (2 * torch.pi))
@@ -110,7 +110,7 @@ class Ego:
         return pose(torch.stack([x, y, zero]), rotation(zero, zero, turn))
 
     def at(self, time_s: float) -> "Ego":
-        """Attitude and ground extrapolated linearly to another time, where measured."""
+        """The motion with attitude and ground extrapolated linearly to a time, where measured."""
         (climb, bend), after_s = self.ground[2:], 0.0 if math.isnan(self.attitude_s) else time_s - self.attitude_s
         over = self.rates - torch.stack([climb - bend * self.pivot_x_m, torch.zeros_like(bend), bend])
         ground = torch.cat([self.ground[:2] + after_s * self.ground[2:], self.ground[2:]])
@@ -118,7 +118,7 @@ class Ego:
 
 
 def ego_of(samples: Samples, vehicle: VehicleParams | None, time_s: float, period_s: float) -> Ego | None:
-    """The motion at a time from samples; None without wheel speeds, which tell whether the vehicle moves."""
+    """The motion at a time from samples; None without wheel speeds."""
     if "wheels" not in samples:
         return None
     wheels = samples["wheels"]

@@ -1,6 +1,5 @@
 """Symbol extraction by differential imaging (T 9.4.1): a symbol image, or the reason why there is none."""
 
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
 from typing import Annotated, Any, Literal
@@ -39,7 +38,7 @@ class SearchParams(Params):
     footprint_margin_m: Distance = Field(
         0.15, description="unevenness of the road, up and down, that widens the search window around the predicted footprint"
     )
-    nothing_below: float = Field(0.08, ge=0, lt=1, description="share of the expected area below which no symbol is present")
+    nothing_below: float = Field(0.08, ge=0, lt=1, description="share of the expected area below which the symbol counts as absent")
     area_low: float = Field(0.45, ge=0, lt=1, description="least share of the expected area that is accepted as the symbol")
     area_high: float = Field(1.9, gt=1, le=1e6, description="largest multiple of the expected area that is accepted as the symbol")
 
@@ -54,7 +53,7 @@ class ExtractionParams(SearchParams):
 
 
 class OwnExtractionParams(plugin.OwnPart, SearchParams):
-    """`Name(**options)` of a user's module makes the extractor; its `symbol_image(contrast, limit)` replaces that of this module."""
+    """A user-defined extractor `Name(**options)`, whose `symbol_image(contrast, limit)` replaces luxloop's."""
 
     @cached_property
     def extractor(self) -> Any:
@@ -62,7 +61,7 @@ class OwnExtractionParams(plugin.OwnPart, SearchParams):
         return plugin.make(self.kind, "extraction.kind", {}, self.options, ("symbol_image",))
 
     def symbol_image(self, contrast: Tensor, limit: Tensor) -> Tensor:
-        """The extractor's symbol image. Raises LuxloopError if it is no image of the same size."""
+        """The extractor's symbol image. Raises LuxloopError if the result is no image of the same size."""
         symbol = self.extractor.symbol_image(contrast, limit)
         if not isinstance(symbol, Tensor) or _like(symbol) != _like(contrast):
             what = f"symbol_image gives {_like(symbol) if isinstance(symbol, Tensor) else type(symbol).__name__} for {_like(contrast)}"
@@ -80,34 +79,6 @@ Extraction = Annotated[
 ]
 
 
-@dataclass(frozen=True)
-class Crop:
-    """A rectangle of the camera image.
-
-    v_start, v_stop: first row and the row after the last. u_start, u_stop: first column and the column after the last.
-    """
-
-    v_start: int
-    v_stop: int
-    u_start: int
-    u_stop: int
-
-    @property
-    def slices(self) -> tuple[slice, slice]:
-        """Row and column slices of an image's last two dimensions."""
-        return slice(self.v_start, self.v_stop), slice(self.u_start, self.u_stop)
-
-    def holds(self, other: "Crop") -> bool:
-        """Whether another crop lies within this one."""
-        rows = self.v_start <= other.v_start and other.v_stop <= self.v_stop
-        return rows and self.u_start <= other.u_start and other.u_stop <= self.u_stop
-
-    def widen(self, px: int, height: int, width: int) -> "Crop":
-        """The crop with a margin in px on all sides, clipped to an image of height x width."""
-        rows = max(self.v_start - px, 0), min(self.v_stop + px, height)
-        return Crop(*rows, max(self.u_start - px, 0), min(self.u_stop + px, width))
-
-
 def difference(on: Tensor, off: Tensor, camera: CameraParams) -> Tensor:
     """Signed luminance difference in cd/m^2 of two frames of digital numbers `[..., h, w]` (T 9.4.1)."""
     return luminance_of(on, camera) - luminance_of(off, camera)
@@ -116,8 +87,8 @@ def difference(on: Tensor, off: Tensor, camera: CameraParams) -> Tensor:
 def threshold(off: Tensor, camera: CameraParams, params: SearchParams) -> Tensor:
     """Absolute threshold `[..., h, w]` in cd/m^2 of each pixel, from the noise of the difference of two frames without a symbol.
 
-    The light without a symbol is the mean of the off frame over 3 x 3 pixels: a pixel that is dark by chance would underestimate the noise,
-    and a thousand times as many would pass five sigma.
+    The light without a symbol is the mean of the off frame over 3 x 3 pixels. A single pixel that is dark by chance would underestimate the
+    noise, and a thousand times as many pixels would exceed five sigma.
     """
     light = luminance_of(off, camera)
     mean = avg_pool2d(light.reshape(-1, 1, *light.shape[-2:]), 3, stride=1, padding=1, count_include_pad=False)
@@ -146,15 +117,6 @@ def symbol_image(contrast: Tensor, limit: Tensor, params: Extraction) -> Tensor:
     return ((contrast - limit) / torch.maximum(WHOLLY_LIT * brightest - limit, limit / 2)).clamp(0, 1)
 
 
-def symbol_images(a: tuple[Tensor, Tensor], b: tuple[Tensor, Tensor], params: Extraction) -> tuple[Tensor, Tensor]:
-    """Symbol images `[..., h, w]` of two pairs of contrast and threshold, `[..., h, w]` each in cd/m^2, computed together if possible."""
-    if isinstance(params, OwnExtractionParams):
-        return symbol_image(*a, params), symbol_image(*b, params)
-    contrast, limit = (torch.stack(torch.broadcast_tensors(*pair)) for pair in zip(a, b, strict=True))
-    first, second = symbol_image(contrast, limit, params)
-    return first, second
-
-
 def _largest_around(image: Tensor) -> Tensor:
     """Maximum of an image `[..., h, w]` over each pixel's neighbourhood. Doubling windows are far faster than max_pool2d."""
     rows, columns = NEIGHBOURHOOD
@@ -170,7 +132,7 @@ def _largest_around(image: Tensor) -> Tensor:
 
 
 def gate(area: Tensor, expected: Tensor, params: SearchParams) -> Tensor:
-    """Codes of ExtractionStatus `[...]` int64 from the ratio of the symbol's area to the expected one, both `[...]` in the same unit."""
+    """Codes of ExtractionStatus `[...]` int64 from the symbol's area and the expected area, both `[...]` in the same unit."""
     ratio = torch.nan_to_num(area / expected)
     code = torch.full(ratio.shape, ExtractionStatus.SEEN, dtype=torch.int64, device=ratio.device)
     code = torch.where(ratio > params.area_high, ExtractionStatus.TOO_LARGE, code)

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,8 +21,8 @@ Box = tuple[float, float, float, float]
 class GroundTruth:
     """Ground truth of one object in one view.
 
-    box: left, top, right, bottom in px of its visible part. whole: the same of the whole object, hidden or outside the image. pixels:
-    number of its visible pixels. visible: their share of its pixels without occlusion. inside: share of `whole` that lies in the image.
+    box: left, top, right, bottom in px of the visible part. whole: box of the whole object, with parts that are hidden or outside the
+    image. pixels: number of visible pixels. visible: visible pixels over pixels without occlusion. inside: share of `whole` in the image.
     materials: number of pixels by name of material, for bodies with parts.
     """
 
@@ -39,7 +40,7 @@ class GroundTruth:
 def ground_truth(surfaces: GBuffer, triangles: Triangles, view: View, categories: Sequence[Category | None]) -> tuple[GroundTruth, ...]:
     """All objects visible in at least one pixel, in the order of their ids.
 
-    surfaces: of `triangles` in `view`. categories: those of the objects 1, 2, ...; the road is object 0. Boxes are in px of the view,
+    surfaces: of `triangles` in `view`. categories: of the objects 1, 2, ...; the road is object 0. Boxes are in px of the view,
     including its oversampling of rows.
     """
     found = []
@@ -66,7 +67,7 @@ def ground_truth(surfaces: GBuffer, triangles: Triangles, view: View, categories
 
 
 def part_picture(surfaces: GBuffer, triangles: Triangles, names: Sequence[str]) -> Tensor:
-    """Index `[height, width]` int64 in names of the part that each pixel sees, such as a head; -1 where it is none of them."""
+    """Index in names of the part that each pixel sees, such as a head, `[height, width]` int64; -1 for other parts."""
     bodies = {placed.object_id: placed.body.parts for placed in triangles.placed if placed.body.parts}
     if surfaces.part is None or not bodies:
         return torch.full_like(surfaces.object_id, -1, dtype=torch.int64)
@@ -84,27 +85,25 @@ def part_mask(surfaces: GBuffer, triangles: Triangles, names: Collection[str]) -
 
 
 def _box(pixels: Tensor) -> Box:
-    """Around rows and columns `[m, 2]`."""
+    """The box around pixels, rows and columns `[m, 2]`."""
     (top, left), (bottom, right) = pixels.amin(0).tolist(), pixels.amax(0).tolist()
     return float(left), float(top), float(right + 1), float(bottom + 1)
 
 
 def _whole(placed: Instance, view: View) -> Box:
-    """Box of the corners ahead of the view's plane; an object that crosses that plane leaves the image and is clipped."""
+    """Box of the corners in front of the camera; the part of an object behind the camera is clipped."""
     image, depth = view.project(placed.corners.flatten(0, 1).T)
     u, v = image[:, depth > 0.1]
     return float(u.min()), float(v.min()), float(u.max()), float(v.max())
 
 
 def _clip(box: Box, view: View) -> Box:
-    (u0, u1), (v0, v1) = (
-        (min(max(a, 0.0), n), min(max(b, 0.0), n)) for a, b, n in ((box[0], box[2], view.width), (box[1], box[3], view.height))
-    )
+    u0, v0, u1, v1 = np.clip(box, 0.0, (view.width, view.height) * 2).tolist()
     return u0, v0, u1, v1
 
 
 def _pixels_alone(placed: Instance, view: View, whole: Box) -> int:
-    """Number of the image's pixels that would see the object if it were alone."""
+    """Number of pixels of the object without occlusion."""
     u0, v0, u1, v1 = _clip(whole, view)
     columns, rows = slice(int(u0), min(int(u1) + 1, view.width)), slice(int(v0), min(int(v1) + 1, view.height))
     return int((first_hits(Triangles.of(placed), view.origin, view.within(rows, columns).rays().flatten(1)) >= 0).sum())

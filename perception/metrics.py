@@ -1,6 +1,6 @@
 """Metrics: errors of light against a goal (T 8.3), visibility of objects (T 9.2), and the quality of a symbol on the road.
 
-Those of the symbol are computed from noise-free light, independent of any controller's extraction.
+Metrics of a symbol are computed from noise-free light, independent of a controller's extraction.
 """
 
 import math
@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, max_pool2d
 
 from luxloop.perception.appearance import Appearance, appearance
-from luxloop.perception.birdseye import BirdsEye, rectify, span
+from luxloop.perception.birdseye import BirdsEye, hull, rectify, span
 from luxloop.world.errors import LuxloopError
 
 MARE_OFFSET = 1e-12  # cd; divisor of the error at texels that should be dark
@@ -21,7 +21,7 @@ MARE_OFFSET = 1e-12  # cd; divisor of the error at texels that should be dark
 def mae(actual: Tensor, wanted: Tensor) -> Tensor:
     """Mean absolute error of light textures `[..., H, W]` (T eq. 8.3.1), `[...]`.
 
-    It is divided by the number of texels with a positive setpoint and by the largest setpoint, so that neither the size of the texture
+    The sum is divided by the number of texels with a positive setpoint and by the largest setpoint, so that neither the size of the texture
     nor the setpoint's unit matters.
 
     Raises: LuxloopError where an image has no positive setpoint.
@@ -123,7 +123,7 @@ def edge_definition(luminance: Tensor, mask: Tensor, floor: float) -> Tensor:
 
 
 def unevenness(light: Tensor, mask: Tensor, floor: float) -> Tensor:
-    """Standard deviation over the mean plus floor of light `[height, width]` on an object, a scalar: 0 where it is homogeneous."""
+    """Standard deviation over the mean plus floor of light `[height, width]` on an object, a scalar: 0 for homogeneous light."""
     return light[mask].std(correction=0) / (light[mask].mean() + floor)
 
 
@@ -136,8 +136,8 @@ SSIM_RADIUS = 2.0  # pairs of cells
 class Target:
     """The symbol at its target on a flat road, in the bird's-eye view.
 
-    luminance: `[rows, cols]` cd/m^2. median: `[]` cd/m^2, of its lit cells. mask: `[rows, cols]` bool. shape: the mask's moments. rows,
-    cols: the part of the view that its light reaches.
+    luminance: `[rows, cols]` cd/m^2. median: `[]` cd/m^2, of the lit cells. mask: `[rows, cols]` bool. shape: moments of the mask. rows,
+    cols: part of the view that the light reaches.
     """
 
     luminance: Tensor
@@ -204,7 +204,7 @@ def evaluate(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int = 0, 
 
 
 def _lit_part(luminance: Tensor) -> tuple[slice, slice]:
-    """Rows and columns beyond which all images `[..., height, width]` are dark."""
+    """Rows and columns that contain the light of all images `[..., height, width]`."""
     image = luminance.detach().abs()
     if not image.numel():
         return slice(0, 0), slice(0, 0)
@@ -214,13 +214,8 @@ def _lit_part(luminance: Tensor) -> tuple[slice, slice]:
     return rows, span(image[..., rows, :].reshape(-1, image.shape[-1]).amax(0) > 0)
 
 
-def hull(found: slice, wanted: slice) -> slice:
-    """The smallest slice that holds two, the first of which may be empty."""
-    return wanted if found.stop == found.start else slice(min(found.start, wanted.start), max(found.stop, wanted.stop))
-
-
 def around(rows: slice, cols: slice, shape: Sequence[int]) -> tuple[slice, slice]:
-    """Whole pairs of cells of a view `[rows, cols]`, from which SSIM's window reaches a part of it."""
+    """Rows and columns of a view that SSIM's window of a part reaches, in whole pairs of cells; shape: rows and columns of the view."""
     window = 2 * math.ceil(3 * SSIM_RADIUS)
     top, left = (max(each.start // 2 * 2 - window, 0) for each in (rows, cols))
     bottom, right = (min(-(-each.stop // 2) * 2 + window, n) for each, n in zip((rows, cols), shape, strict=True))

@@ -26,7 +26,7 @@ STEP: Final = 2.0**-20  # of tabled numbers: far coarser than rounding errors, s
 
 @dataclass(frozen=True)
 class FrameNoise:
-    """The noise of one frame; it carries no state, so that a run can be resumed at any step."""
+    """The noise of one frame, without state, so that a run can resume at any step."""
 
     key: int
 
@@ -57,7 +57,7 @@ class FrameNoise:
         return drawn.view_as(bits)
 
     def _on_host(self, part: Part, dtype: torch.dtype) -> np.ndarray:
-        """As `part`, in NumPy in half the time: unsigned shifts, and tails only where they occur."""
+        """`part` in NumPy, in half the time, by unsigned shifts and by tails only where they occur."""
         rows, columns = part
         height, width, odd = rows.stop - rows.start, columns.stop - columns.start, columns.start % 2
         mixed = _counters_on_host(rows.start, rows.stop, columns.start // 2, (columns.stop + 1) // 2) + np.uint64(self.key)
@@ -91,8 +91,8 @@ def _counters_on_host(top: int, bottom: int, left: int, right: int) -> np.ndarra
 
 @cache
 def tables(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
-    """Medians of the parts of the distribution, 0 for the two tails; the sign of the tails there, 0 for all others; and medians of the
-    parts of the upper tail. Multiples of `STEP` below 8 are exact in 32 bits, and so is what comes of them.
+    """Medians of the parts of the distribution, 0 for the two tails; signs of the tails, 0 for all other parts; medians of the parts of the
+    upper tail. Multiples of `STEP` below 8, and their sums and products with signs, are exact in 32 bits.
     """
     shares = (torch.arange(PARTS, dtype=torch.float64) + 0.5) / PARTS
     middle, sign = torch.special.ndtri(shares), torch.zeros_like(shares)

@@ -35,8 +35,8 @@ class SamplingParams(Params):
 
     @abstractmethod
     def values(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
-        """A sample without noise in the units of `Sample`, and its standard deviations. before: state at the previous sample, period_s
-        ago.
+        """A sample without noise in the units of `Sample`, and the standard deviations of its noise. before: state at the previous sample,
+        period_s earlier.
         """
 
 
@@ -66,7 +66,7 @@ class GyroParams(SamplingParams):
 
 
 class AttitudeParams(SamplingParams):
-    """A unit that fuses inertial sensors and odometry to the body's attitude over the ground and the ground's height and slope."""
+    """An inertial unit that fuses sensors and odometry to the body's attitude over the ground and the ground's height and slope."""
 
     heave_noise_m: float = Field(0.0, ge=0, le=1, description="standard deviation of the body's measured height")
     roll_bias_deg: float = Field(0.0, ge=-5, le=5, description="bias of the measured roll")
@@ -128,13 +128,13 @@ class Sensors:
     seed: int
 
     def newest(self, by_s: float, like: Tensor) -> tuple[Sample, ...]:
-        """The newest sample of each sensor that has arrived by a time, on the device and in the dtype of `like`. Samples of time 0 have no
+        """The newest sample of each sensor that has arrived by a time, with the device and dtype of `like`; samples of time 0 have no
         delay.
         """
         return tuple(self._sample(sensor, max(self._last(sensor, by_s), 0), like) for sensor in self.params.fitted)
 
     def arriving(self, after_s: float, by_s: float, like: Tensor) -> tuple[Sample, ...]:
-        """All samples that arrive after one time and by another; the computation carries no state."""
+        """All samples that arrive after after_s and up to by_s, in order of arrival."""
         found = list[Sample]()
         for sensor in self.params.fitted:
             past, last = (self._last(sensor, time_s) for time_s in (after_s, by_s))

@@ -62,11 +62,11 @@ class CheckedTracker:
         return self.own.follow(state, found, frame, time_s)
 
     def report(self, state: Any, time_s: float) -> TrackedBoxes:
-        """The report on the CPU in double precision. Raises LuxloopError if it is invalid."""
+        """The tracker's report on the CPU in double precision. Raises LuxloopError for an invalid report."""
         return self.check(self.own.report(state, time_s))
 
     def check(self, told: Any) -> TrackedBoxes:
-        """A report on the CPU in double precision. Raises LuxloopError if it is invalid."""
+        """A report on the CPU in double precision. Raises LuxloopError for an invalid report."""
         where, all_classes = f"{KEY}: {self.own.name}: report", len(self.classes)
         if not isinstance(told, TrackedBoxes):
             raise LuxloopError(f"{where} gives a {type(told).__name__}; it must give luxloop.TrackedBoxes")

@@ -1,9 +1,9 @@
 """Multi-object tracking: from detections in single frames to tracks with identity and filtered scores.
 
 A track is a Kalman filter with constant velocity for the centre of the box's foot in the image, and a size on the road within the limits of
-its class. Darkness and other objects hide parts, so a box that is smaller than expected counts as a part and is completed. Detections are
-assigned to tracks at least cost (Hungarian method) by overlap, distance and class. Lengths in the image are in units of the box's size, the
-root of its area, which for a pedestrian is about a metre at any distance.
+the class. Darkness and other objects hide parts, so a box that is smaller than expected counts as a part and is completed. Detections are
+assigned to tracks at least cost (Hungarian method) by overlap, distance and class. Lengths in the image are in units of the box size, the
+root of the box area, which is about a metre for a pedestrian at any distance.
 """
 
 import math
@@ -19,17 +19,17 @@ from luxloop.perception.boxes import (
     MEASURED,
     SHINE,
     SOLID,
-    alike,
     are_parts,
-    belonging,
     by_lamps,
     complete,
-    hiding,
+    extend_cut,
     limits_m,
     nearness,
+    occluders_of,
+    parts_of,
+    similar_classes,
     spread_of,
     standing,
-    uncut,
 )
 from luxloop.perception.detection.detector import SAME, Detections, overlaps
 from luxloop.world.frames import View
@@ -39,7 +39,7 @@ from luxloop.world.traffic.tracked import Category
 
 @dataclass(frozen=True, eq=False)
 class TrackedBoxes:
-    """A tracker's report at a time: n tracks, C classes.
+    """A tracker's report: n tracks, C classes.
 
     number: `[n]` int64 from 1 on, unique identity. boxes: `[n, 4]` px, left, top, right, bottom, including hidden parts and parts outside
     the image. category: `[n]` int64, index of the class. confidence: `[n, C]` in 0..1, of each class. score: `[n, C]`, the same in the last
@@ -82,7 +82,7 @@ class ObjectTracker(Protocol):
         ...
 
     def report(self, state: Any, time_s: float) -> TrackedBoxes:
-        """The objects, predicted to a time at or after that of the last frame."""
+        """The objects, predicted to a time not before the last frame."""
         ...
 
 
@@ -134,12 +134,12 @@ EACH = ("number", "mean", "covariance", "size_m", "frames", "since_s", "seen_s",
 STARTS = (4.0, 0.5)  # of a new track's rates, in sizes a second: 4 m/s across for a pedestrian's size, less up and down
 CHANGES = (1.0, 0.3)  # of how rates change, in sizes and the root of a second
 GATE = 4.0  # standard deviations in u and v beyond which a detection belongs to no track
-OTHER_CLASS = 0.5  # cost of a detection with no score for the track's class
+OTHER_CLASS = 0.5  # cost of a detection with score 0 for the track's class
 LARGEST_COST = 1.8  # above it a track gets no detection; overlap costs at most 1, a distance of one size 1
-FOLLOWS_S = 1.0  # time constant of sizes
+FOLLOWS_S = 1.0  # time constant of the low-pass filter of sizes
 WEAK = 0.5  # of the score that starts a track: least score that continues one
 KEPT = 2.0  # longest time without detection, as a multiple of the time with detections
-BOTH = 0.5  # IoU with a track without box above which another track's box may belong to both
+BOTH = 0.5  # IoU of a box with a second track, without a detection, above which the box may belong to both
 LINGER_S = 2.0  # time for which a lost track is still reported, so that its light can fade
 SURER = 2.0  # ratio of another class's score to its own at which a track changes class
 
@@ -166,7 +166,7 @@ class TrackerParams(Params):
 
 @dataclass(frozen=True, eq=False)
 class Tracker:
-    """Tracks the detections of these classes in a fixed view."""
+    """luxloop's tracker, for the classes of a detector in a fixed view."""
 
     classes: tuple[Category, ...]
     view: View
@@ -177,8 +177,8 @@ class Tracker:
         return self._start(1, Detections(torch.zeros(0, 4).double(), torch.zeros(0, len(self.classes)).double()), 0.0)
 
     def follow(self, tracks: Tracks, found: Detections, frame: Tensor, time_s: float) -> Tracks:
-        """The tracks after a frame `[height, width]`, shares of the largest digital number. Vehicles without a detection are continued with
-        reduced confidence where their lamps are seen.
+        """The tracks after a frame `[height, width]`, shares of the largest digital number. Vehicles without a detection continue with
+        reduced confidence if their lamps are seen.
         """
         present = self.at(tracks, time_s).present
         boxes, scores = self.whole(present), found.scores.detach().double().cpu()
@@ -208,7 +208,7 @@ class Tracker:
         return torch.stack([u - width / 2, v - height, u + width / 2, v], -1)
 
     def at(self, tracks: Tracks, time_s: float) -> Tracks:
-        """The tracks predicted to a time by their rates; lost ones stay where they were lost."""
+        """The tracks predicted to a time by their rates; lost tracks do not move."""
         dt = (time_s - tracks.time_s) * tracks.until_s.isinf().double()[:, None]
         changes = (torch.tensor(CHANGES).double() * self._px(tracks)[:, None]) ** 2
         a, b, c = tracks.covariance[..., 0, 0], tracks.covariance[..., 0, 1], tracks.covariance[..., 1, 1]
@@ -225,17 +225,17 @@ class Tracker:
         mine, its = self.assign(alive, found)
         shown = torch.zeros(len(alive), dtype=torch.bool).index_fill(0, mine, True)
         expected = self.whole(alive)
-        boxes = uncut(found.boxes[its], expected[mine], self.view.width)
+        boxes = extend_cut(found.boxes[its], expected[mine], self.view.width)
         complete = shown.index_copy(0, mine, ~are_parts(boxes, expected[mine]).any(-1))
         own = ~(overlaps(expected[~shown & alive.since_s.isfinite()], found.boxes[its]) >= BOTH).any(0)
         alive = self._correct(alive, mine[own], boxes[own], time_s - tracks.time_s)
         score = torch.full_like(alive.score, math.nan).index_copy(0, mine, found.scores[its])
         alive = self._update_scores(alive, shown, score, time_s, time_s - tracks.time_s)
         left = torch.ones(len(found), dtype=torch.bool).index_fill(0, its, False) & (found.scores.amax(-1) >= self.params.start_score)
-        known = alive.since_s.isfinite()[:, None] & alike(self.classes)[alive.category][:, found.scores.argmax(-1)]
+        known = alive.since_s.isfinite()[:, None] & similar_classes(self.classes)[alive.category][:, found.scores.argmax(-1)]
         solid = torch.tensor([each in SOLID for each in self.classes])[found.scores.argmax(-1)]
         there = self.whole(alive)
-        no_more = belonging(found.boxes, there, complete) | solid & hiding(found.boxes, there, complete)
+        no_more = parts_of(found.boxes, there, complete) | solid & occluders_of(found.boxes, there, complete)
         left &= ~(known & no_more).any(0)
         alive = alive.take(shown | alive.since_s.isfinite())
         started = self._start(tracks.following, Detections(found.boxes[left], found.scores[left]), time_s)
@@ -250,7 +250,7 @@ class Tracker:
         from scipy.optimize import linear_sum_assignment
 
         expected, px = self.whole(tracks), self._px(tracks)[:, None]
-        boxes = uncut(found.boxes[None], expected[:, None], self.view.width)
+        boxes = extend_cut(found.boxes[None], expected[:, None], self.view.width)
         off = _foot(complete(boxes, expected[:, None])) - tracks.mean[:, None, :, 0]
         spread = tracks.covariance[:, None, :, 0, 0] + spread_of(boxes, expected[:, None])
         far = (_foot(boxes) - tracks.mean[:, None, :, 0]).norm(dim=-1) / px
@@ -271,7 +271,7 @@ class Tracker:
         return Detections(standing(boxes[sure], names, self.view), scores[sure])
 
     def _correct(self, tracks: Tracks, which: Tensor, boxes: Tensor, dt: float) -> Tracks:
-        """The Kalman update of some tracks, and their sizes."""
+        """The tracks after a Kalman update of some tracks and their sizes by boxes."""
         some = tracks.take(which)
         expected = self.whole(some)
         off = _foot(complete(boxes, expected)) - some.mean[..., 0]
@@ -339,11 +339,11 @@ class Tracker:
         return self.view.fx * nearness(self.view, u, v)
 
     def _size_m(self, boxes: Tensor, foot: Tensor) -> Tensor:
-        """`[n, 2]`, width and height on the road, of boxes `[n, 4]` px whose foot `[n, 2]` px stands there."""
+        """`[n, 2]`, width and height on the road, of boxes `[n, 4]` px with the foot at `[n, 2]` px."""
         return (boxes[:, 2:] - boxes[:, :2]).clamp(min=1) / self._pixels_a_metre(*foot.unbind(-1))[:, None]
 
     def _px(self, tracks: Tracks) -> Tensor:
-        """`[n]`, the size of the box."""
+        """Box sizes in px, `[n]`: roots of the box areas."""
         return tracks.size_m.prod(-1).sqrt() * self._pixels_a_metre(*tracks.mean[..., 0].unbind(-1))
 
 
@@ -353,5 +353,5 @@ def _foot(boxes: Tensor) -> Tensor:
 
 
 def _share(dt: float, time_constant_s: float) -> float:
-    """Share of the step to its input that a first-order filter takes in a time dt."""
+    """Share of the difference to the input that a first-order low-pass filter covers in a time dt."""
     return 1.0 if time_constant_s == 0 else -math.expm1(-dt / time_constant_s)

@@ -3,7 +3,7 @@
 import re
 from typing import Annotated, Any, Final
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, WithJsonSchema, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, WithJsonSchema, field_validator, model_validator
 
 SMALLEST: Final = 1e-12  # least value of a positive number: division by its square stays finite in single precision
 
@@ -31,6 +31,18 @@ def _plain(name: str) -> str:
 
 
 PlainName = Annotated[str, AfterValidator(_plain), WithJsonSchema({"type": "string", "pattern": f"^{PLAIN}$"})]  # of a column, say
+
+
+def in_order(low: str, high: str, strict: bool = True) -> Any:
+    """A validator that refuses a value of the key `high` below that of `low`, or equal to it if strict; None is no bound."""
+
+    def check(self: Any) -> Any:
+        least, most = getattr(self, low), getattr(self, high)
+        if least is not None and most is not None and (most < least or (strict and most == least)):
+            raise ValueError(f"{high}: {most:g} is {'not above' if strict else 'below'} {low} = {least:g}; raise it, or lower {low}")
+        return self
+
+    return model_validator(mode="after")(check)
 
 
 class Params(BaseModel):

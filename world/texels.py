@@ -1,4 +1,4 @@
-"""The grid of a light texture: texels on the plane x = 1 of the headlight frame, bounded by four tangents (T 2.3, 5.1, 7.3.1); sampling."""
+"""The grid of a light texture (texels on the plane x = 1 of the headlight frame, T 2.3, 5.1, 7.3.1); windows and samples of images."""
 
 import math
 from dataclasses import dataclass
@@ -13,6 +13,51 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import R_ISO_OPENCV, View, pose
 
 LARGEST_ANGLE_DEG = 80.0  # beyond it the plane x = 1 wastes its texels
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of a camera image or a light texture.
+
+    v_start, v_stop: first row and the row after the last. u_start, u_stop: first column and the column after the last.
+    """
+
+    v_start: int
+    v_stop: int
+    u_start: int
+    u_stop: int
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Row and column slices of the image's last two dimensions."""
+        return slice(self.v_start, self.v_stop), slice(self.u_start, self.u_stop)
+
+    @property
+    def empty(self) -> bool:
+        return self.v_stop <= self.v_start or self.u_stop <= self.u_start
+
+    def meets(self, other: "Window") -> bool:
+        """Whether both windows share a pixel."""
+        rows = self.v_start < other.v_stop and other.v_start < self.v_stop
+        return rows and self.u_start < other.u_stop and other.u_start < self.u_stop
+
+    def holds(self, other: "Window") -> bool:
+        """Whether another window lies within this one."""
+        rows = self.v_start <= other.v_start and other.v_stop <= self.v_stop
+        return rows and self.u_start <= other.u_start and other.u_stop <= self.u_stop
+
+    def widen(self, margin: int, height: int, width: int) -> "Window":
+        """The window with a margin in pixels on all sides, clipped to an image of height x width."""
+        rows = max(self.v_start - margin, 0), min(self.v_stop + margin, height)
+        return Window(*rows, max(self.u_start - margin, 0), min(self.u_stop + margin, width))
+
+    def within(self, outer: "Window") -> tuple[slice, slice]:
+        """Row and column slices of this window in an image of an outer window."""
+        rows = slice(self.v_start - outer.v_start, self.v_stop - outer.v_start)
+        return rows, slice(self.u_start - outer.u_start, self.u_stop - outer.u_start)
+
+
+NOWHERE = Window(0, 0, 0, 0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,15 +118,21 @@ def bilinear(grid: TexelGrid, row: Tensor, col: Tensor) -> tuple[Tensor, Tensor]
     Clamped within the outer half texel and, outside of the border, zero.
     """
     inside = ((row >= 0) & (row <= grid.rows) & (col >= 0) & (col <= grid.cols)).to(row)
-    r = (row.nan_to_num() - 0.5).clamp(0, grid.rows - 1)
-    c = (col.nan_to_num() - 0.5).clamp(0, grid.cols - 1)
-    r0, c0 = r.floor().clamp(max=max(grid.rows - 2, 0)), c.floor().clamp(max=max(grid.cols - 2, 0))
+    texel, weight = neighbours(row.nan_to_num(), col.nan_to_num(), grid.rows, grid.cols)
+    return texel, weight * inside
+
+
+def neighbours(row: Tensor, col: Tensor, rows: int, cols: int) -> tuple[Tensor, Tensor]:
+    """The four cells of a grid around continuous coordinates `[...]`, cell centres at integer + 0.5: flat indices `[4, ...]` int64 and
+    bilinear weights `[4, ...]`, clamped within the outer half cell and beyond.
+    """
+    r, c = (row - 0.5).clamp(0, rows - 1), (col - 0.5).clamp(0, cols - 1)
+    r0, c0 = r.floor().clamp(max=max(rows - 2, 0)), c.floor().clamp(max=max(cols - 2, 0))
     fr, fc = r - r0, c - c0
     r0, c0 = r0.long(), c0.long()
-    r1, c1 = (r0 + 1).clamp(max=grid.rows - 1), (c0 + 1).clamp(max=grid.cols - 1)
-    texel = torch.stack([r0 * grid.cols + c0, r0 * grid.cols + c1, r1 * grid.cols + c0, r1 * grid.cols + c1])
-    weight = torch.stack([(1 - fr) * (1 - fc), (1 - fr) * fc, fr * (1 - fc), fr * fc])
-    return texel, weight * inside
+    r1, c1 = (r0 + 1).clamp(max=rows - 1), (c0 + 1).clamp(max=cols - 1)
+    cell = torch.stack([r0 * cols + c0, r0 * cols + c1, r1 * cols + c0, r1 * cols + c1])
+    return cell, torch.stack([(1 - fr) * (1 - fc), (1 - fr) * fc, fr * (1 - fc), fr * fc])
 
 
 def resample(image: Tensor, u: Tensor, v: Tensor, beyond: Literal["zeros", "border"] = "zeros", corners: bool = False) -> Tensor:

@@ -66,7 +66,7 @@ AnimationParams = Annotated[BlinkingParams | RunningLightParams | WipeParams, Fi
 def animate(source: SymbolSource, animation: BlinkingParams | RunningLightParams | WipeParams | None, time_s: float) -> Tensor | None:
     """The image `[h, w]` in 0..1 of a symbol at a time; None while a blinking symbol is off, so that lower layers are visible.
 
-    A homogeneous symbol gets enough rows and columns for a brightness that changes over the position.
+    A homogeneous symbol is expanded to 64 x 64 texels, so that its brightness can vary.
     """
     image = source.at(time_s)
     if animation is None:

@@ -1,4 +1,4 @@
-"""Layers below and above the lighting functions: base beam (T 3.4), raw frames (T 4.1) and painted pixels (T 4.2.2)."""
+"""Light below and above the lighting functions: base beam (T 3.4), raw frames (T 4.1) and painted pixels (T 4.2.2)."""
 
 import base64
 import binascii
@@ -17,12 +17,13 @@ from torch import Tensor
 from luxloop.controllers.pixels.morphing import Morph, turn
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.situation import Situation
+from luxloop.perception.birdseye import hull, span
 from luxloop.world.errors import LuxloopError
 from luxloop.world.images import decode
 from luxloop.world.params import Params
 
 BeamName = Literal["low", "high", "town", "motorway", "adverse", "full", "off"]
-AUTOMATIC: tuple[BeamName, ...] = ("low", "town", "motorway", "adverse")  # what `chosen` chooses from
+AUTOMATIC: tuple[BeamName, ...] = ("low", "town", "motorway", "adverse")  # what `afs_beam` chooses from
 
 TOWN_BELOW_M_S = 50 / 3.6  # our choice, close to the limits of class V (town) and class E (motorway) in UN R149
 MOTORWAY_ABOVE_M_S = 110 / 3.6
@@ -64,13 +65,13 @@ class BaseBeamParams(Params):
         if self.follow_course:
             bend += bend_of_course(now.curvature_1_m, self.look_ahead_s * now.speed_m_s)
         largest = math.radians(self.largest_bend_deg)
-        name = chosen(now) if self.beam == "auto" else self.beam
+        name = afs_beam(now) if self.beam == "auto" else self.beam
         bend = min(max(bend, -largest), largest) if self.follow_course else bend
         return BaseBeam(name, bend, math.radians(self.level_deg), math.radians(self.roll_deg))
 
 
 class RawParams(Params):
-    """Given pixel utilisations that replace the base beam of some modules (T 4.1)."""
+    """Pixel utilisations from files that replace the base beam of some modules (T 4.1)."""
 
     file: str = Field(
         min_length=1,
@@ -78,12 +79,12 @@ class RawParams(Params):
         description="name of a shipped sequence, or path of an array (.npy, .npz, .csv) or grey picture (.png), a value a pixel of the "
         "modules, of a folder or pattern (./frames/*.png) of these, or of a video",
     )
-    modules: tuple[str, ...] = Field((), description="lamps or modules that show them; left out: all")
+    modules: tuple[str, ...] = Field((), description="lamps or modules that show the frames; left out: all")
     rate_hz: float | None = Field(None, gt=0, le=1000, description="frames per second; left out: the video's own rate, else 25")
     repeat: bool = Field(True, description="start again at the end; otherwise the last frame stays")
 
 
-def chosen(now: Situation) -> BeamName:
+def afs_beam(now: Situation) -> BeamName:
     """The AFS beam for a situation (T 3.4): adverse weather first, then town, then motorway, else the low beam."""
     if now.wet:
         return "adverse"
@@ -93,7 +94,7 @@ def chosen(now: Situation) -> BeamName:
 
 
 def bend_of_course(curvature_1_m: float, distance_m: float) -> float:
-    """Angle in rad to the left of the point on the car's circular course at a distance: half the angle of the arc."""
+    """Bearing in rad, to the left, of the point on the car's circular course at a distance: half the angle of the arc."""
     return math.asin(min(max(curvature_1_m * distance_m / 2, -1.0), 1.0))
 
 
@@ -111,14 +112,14 @@ class PaintedParams(Params):
         max_length=LONGEST,
         examples=["iVBORw0KGgo..."],
         description="a picture of the module's pixels as the base64 text of an 8-bit PNG with transparency: white is full utilisation, "
-        "what is opaque is painted",
+        "opaque pixels are painted",
     )
-    over: bool = Field(True, description="over what the functions give; false: in its place, dark where nothing is painted")
+    over: bool = Field(True, description="paint over the light of the functions; false: replace that light, dark where nothing is painted")
 
     @field_validator("png")
     @classmethod
     def _is_one(cls, text: str) -> str:
-        """Validate the picture here so that the error names the key; decoded once."""
+        """Decode the picture once, so that an error names the key."""
         try:
             _pictures(text)
         except LuxloopError as error:
@@ -139,29 +140,24 @@ class PaintedParams(Params):
 
 @dataclass(frozen=True, eq=False)
 class PaintLayer:
-    """A painted layer. value: `[n_p]` in 0..1. cover: `[n_p]`, its opacity. size: rows and columns."""
+    """A painted layer. value: `[n_p]` in 0..1. cover: `[n_p]`, its opacity."""
 
     value: Tensor
     cover: Tensor
     over: bool
-    size: tuple[int, int]
 
     @classmethod
     def of(cls, params: PaintedParams) -> Self:
         value, cover = (torch.from_numpy(each).flatten().float() / 255 for each in params.pictures)
-        rows, columns = params.pictures[0].shape
-        return cls(value, cover, params.over, (rows, columns))
+        return cls(value, cover, params.over)
 
     def on(self, light: Utilisation) -> Utilisation:
-        """The light of a module under the layer: `cover * value + (1 - cover) * u`, `[..., n_p]`; without u for a layer that replaces
-        it.
-        """
+        """The light of a module with the layer: `cover * value + (1 - cover) * u`, `[..., n_p]`, or `cover * value` if over is False."""
         given, cover = (self.cover * self.value).to(light.u), self.cover.to(light.u)
-        lit = given.nonzero()
-        band = slice(int(lit[0]), int(lit[-1]) + 1) if len(lit) else slice(0, 0)
+        band = span(given != 0)
         if not self.over:
             return Utilisation(given.expand_as(light.u), band)
-        return Utilisation(given + (1 - cover) * light.u, None if light.band is None else _both(band, light.band))
+        return Utilisation(given + (1 - cover) * light.u, None if light.band is None else hull(band, light.band))
 
 
 def paint_layers(params: Sequence[PaintedParams]) -> Mapping[str, PaintLayer]:
@@ -174,15 +170,9 @@ def paint_layers(params: Sequence[PaintedParams]) -> Mapping[str, PaintLayer]:
     return layers
 
 
-def _both(one: slice, other: slice) -> slice:
-    """The smallest range that contains both."""
-    there = [each for each in (one, other) if each.stop > each.start]
-    return slice(min(each.start for each in there), max(each.stop for each in there)) if there else slice(0, 0)
-
-
 @lru_cache(maxsize=16)
 def _pictures(text: str) -> tuple[Picture, Picture]:
-    """Grey value and opacity of a picture. Raises LuxloopError where it is none."""
+    """Grey value and opacity of a picture. Raises LuxloopError if the text is no 8-bit PNG with transparency."""
     try:
         file = base64.b64decode(text, validate=True)
     except binascii.Error as error:

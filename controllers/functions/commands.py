@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from luxloop.controllers.functions.base_beams import bend_of_course
-from luxloop.controllers.pixels.primitives import Primitives, meant
+from luxloop.controllers.pixels.primitives import Primitives, names_module
 from luxloop.controllers.situation import ScheduleParams, Situation
 from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand, Range
 from luxloop.world.params import Degrees, NotNegative, Params, Share, Slope
@@ -21,7 +21,7 @@ MOVEMENTS: Final[Mapping[Movement, str]] = {"swivel_deg": "swivelled", "level_de
 
 
 class Movable(Protocol):
-    """A module that can be turned: its name, such as "left hires", and its ranges of swivel and level from rest, in deg."""
+    """A module: name, such as "left hires", and ranges of swivel and level from rest, in deg."""
 
     @property
     def name(self) -> str: ...
@@ -35,7 +35,7 @@ class Movable(Protocol):
 
 @dataclass(frozen=True)
 class FunctionCommands:
-    """Commands of a function at a time, one for each module that it names."""
+    """Commands of a function at a time, by module."""
 
     time_s: float
     commands: tuple[tuple[str, ModuleCommand], ...]
@@ -46,33 +46,32 @@ class CommandingFunction(Protocol):
     """A function that commands modules."""
 
     def command(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
-        """The commands now for the car's modules. before: its previous commands, None at the start."""
+        """The present commands for the car's modules. before: the function's previous commands, None at the start."""
         ...
 
 
 class CommandParams(ScheduleParams):
     """Common parameters of the functions that command modules."""
 
-    movement: ClassVar[Movement]
-    modules: tuple[str, ...] = Field((), description="lamps or modules that it commands; left out: all that support the command")
+    movements: ClassVar[tuple[Movement, ...]] = tuple(MOVEMENTS)
+    modules: tuple[str, ...] = Field((), description="lamps or modules to command; left out: all that support the command")
 
     @abstractmethod
-    def target(self, now: Situation) -> float:
-        """The wanted value of its movement: an angle in deg or a share of the maximum intensity."""
+    def active_command(self, now: Situation) -> ModuleCommand:
+        """The command while the function is active."""
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """No primitives: the function draws nothing."""
         return ()
 
     def command(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
-        """The wanted command for each module; at rest while the function is not active."""
-        wanted = self.target(now) if self.active(now) else getattr(REST, self.movement)
-        command = ModuleCommand(**{self.movement: wanted})
+        """The command of each module; rest while the function is not active."""
+        command = self.active_command(now) if self.active(now) else REST
         return FunctionCommands(now.time_s, tuple((module.name, command) for module in modules if self.moves(module)))
 
     def moves(self, module: Movable) -> bool:
-        """Whether it commands this module and the module supports the command."""
-        return meant(self.modules, module.name) and (self.movement == "intensity" or any(getattr(module, self.movement)))
+        """Whether the function commands this module and the module supports the command."""
+        return names_module(self.modules, module.name)
 
 
 class TurningParams(CommandParams):
@@ -80,30 +79,43 @@ class TurningParams(CommandParams):
 
     rate_deg_s: float
 
+    @abstractmethod
+    def target_deg(self, now: Situation) -> float:
+        """The target angle."""
+
+    def active_command(self, now: Situation) -> ModuleCommand:
+        """The target angle, without a motor's limits."""
+        return ModuleCommand(**{self.movements[0]: self.target_deg(now)})
+
+    def moves(self, module: Movable) -> bool:
+        """Whether the function commands this module and the module can turn."""
+        return super().moves(module) and any(getattr(module, self.movements[0]))
+
     def command(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
-        """The wanted angle within each module's range, limited by the motors' rate from the previous one on."""
-        ranges = {module.name: getattr(module, self.movement) for module in modules}
+        """The target angle within each module's range, limited by the motors' rate from the previous command on."""
+        angle = self.movements[0]
+        ranges = {module.name: getattr(module, angle) for module in modules}
         was = {} if before is None else dict(before.commands)
         far = 0.0 if before is None else self.rate_deg_s * max(now.time_s - before.time_s, 0.0)
         given = []
         for name, command in super().command(before, now, modules).commands:
             low, high = ranges[name]
-            wanted = min(max(getattr(command, self.movement), low), high)  # before the rate limit, or a motor at its end would wind up
-            begins = getattr(was[name], self.movement) if name in was else wanted
-            given.append((name, ModuleCommand(**{self.movement: min(max(wanted, begins - far), begins + far)})))
+            wanted = min(max(getattr(command, angle), low), high)  # before the rate limit, or a motor at its end would wind up
+            begins = getattr(was[name], angle) if name in was else wanted
+            given.append((name, ModuleCommand(**{angle: min(max(wanted, begins - far), begins + far)})))
         return FunctionCommands(now.time_s, tuple(given))
 
 
 class BendingParams(TurningParams):
     """Swivels modules into curves by the speed and the curvature of the car's course."""
 
-    movement: ClassVar[Movement] = "swivel_deg"
+    movements: ClassVar[tuple[Movement, ...]] = ("swivel_deg",)
     kind: Literal["bending"] = "bending"
-    look_ahead_s: float = Field(2.0, gt=0, le=5, description="how far ahead modules point, as travel time at the car's speed")
+    look_ahead_s: float = Field(2.0, gt=0, le=5, description="travel time to the point on the course at which modules aim")
     largest_deg: float = Field(15.0, gt=0, le=30, description="limit of the swivel; each module's own range limits it as well")
     rate_deg_s: float = Field(25.0, gt=0, le=1000, description="rate of the swivel motors")
 
-    def target(self, now: Situation) -> float:
+    def target_deg(self, now: Situation) -> float:
         bend = math.degrees(bend_of_course(now.curvature_1_m, self.look_ahead_s * now.speed_m_s))
         return min(max(bend, -self.largest_deg), self.largest_deg)
 
@@ -118,7 +130,7 @@ class LevelAtParams(Params):
 class LevellingParams(TurningParams):
     """Levels modules against the pitch of the body, so that the cut-off stays in place on the road."""
 
-    movement: ClassVar[Movement] = "level_deg"
+    movements: ClassVar[tuple[Movement, ...]] = ("level_deg",)
     kind: Literal["levelling"] = "levelling"
     dynamic: bool = Field(True, description="compensate the measured pitch of the body")
     entries: tuple[LevelAtParams, ...] = Field((), description="additional angles over ascending time; linear in between, constant outside")
@@ -130,7 +142,7 @@ class LevellingParams(TurningParams):
             raise ValueError("entries: with dynamic = false and no entries nothing is levelled; give entries, or leave dynamic out")
         return _ascending(self)
 
-    def target(self, now: Situation) -> float:
+    def target_deg(self, now: Situation) -> float:
         fixed = over_time(self.entries, now.time_s, "level_deg") if self.entries else 0.0
         return fixed - (math.degrees(now.pitch_rad) if self.dynamic else 0.0)
 
@@ -145,7 +157,7 @@ class IntensityAtParams(Params):
 class DimmingParams(CommandParams):
     """Lowers the maximum intensity of modules over time."""
 
-    movement: ClassVar[Movement] = "intensity"
+    movements: ClassVar[tuple[Movement, ...]] = ("intensity",)
     kind: Literal["dimming"] = "dimming"
     entries: tuple[IntensityAtParams, ...] = Field(
         min_length=1, examples=[[{"share": 0.5}]], description="maximum intensity over ascending time; linear in between, constant outside"
@@ -155,40 +167,25 @@ class DimmingParams(CommandParams):
     def _in_order(self) -> Self:
         return _ascending(self)
 
-    def target(self, now: Situation) -> float:
-        return over_time(self.entries, now.time_s, "share")
+    def active_command(self, now: Situation) -> ModuleCommand:
+        return ModuleCommand(intensity=over_time(self.entries, now.time_s, "share"))
 
 
-class DirectParams(ScheduleParams):
-    """Commands modules directly, without a motor's rate, for example from another program in each step."""
+class DirectParams(CommandParams):
+    """Commands modules directly, without a rate limit, for example from another program in each step."""
 
     kind: Literal["command"] = "command"
-    modules: tuple[str, ...] = Field((), description="lamps or modules that it commands; left out: all")
+    modules: tuple[str, ...] = Field((), description="lamps or modules to command; left out: all")
     swivel_deg: Degrees = Field(0.0, description="turned to the left; limited by each module's own range")
     level_deg: Slope = Field(0.0, description="turned down; limited by each module's own range")
     intensity: Share = Field(1.0, description="share of the maximum intensity")
 
-    def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        """No primitives: the function draws nothing."""
-        return ()
-
-    def command(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
-        """The command for each module; at rest while the function is not active."""
-        command = self.module_command if self.active(now) else REST
-        return FunctionCommands(now.time_s, tuple((module.name, command) for module in modules if self.moves(module)))
-
-    @property
-    def module_command(self) -> ModuleCommand:
-        """The command while the function is active."""
+    def active_command(self, now: Situation) -> ModuleCommand:
         return ModuleCommand(self.swivel_deg, self.level_deg, self.intensity)
-
-    def moves(self, module: Movable) -> bool:
-        """Whether it commands this module."""
-        return meant(self.modules, module.name)
 
 
 def compose(given: Iterable[FunctionCommands], modules: Iterable[Movable]) -> Commands:
-    """One command for each module from those of all functions: turns add up within the module's range, intensities multiply."""
+    """One command for each module from the commands of all functions: turns add up within the module's range, intensities multiply."""
     of_all, commands = [command for each in given for command in each.commands], []
     for module in modules:
         mine = [command for name, command in of_all if name == module.name]

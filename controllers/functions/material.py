@@ -1,7 +1,7 @@
 """Material-based lighting: each material that the camera identifies gets its own light (T 9.2, fig. 9.4).
 
-The material image becomes an image of target illuminance, carried by rectangles at tracked objects and on the road. Each lamp ray that hits
-one of them takes the setpoint of the camera pixel that sees the hit.
+The material image becomes an image of target illuminance on rectangles at tracked objects and on the road. A lamp ray that hits such a
+rectangle takes the setpoint of the camera pixel that sees the hit.
 """
 
 import math
@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from luxloop.controllers.geometry import Place, facing, on_road
-from luxloop.controllers.pixels.primitives import Observer, Primitives, rectangle
+from luxloop.controllers.pixels.primitives import Observer, Primitives
 from luxloop.controllers.situation import LAYERS, Category, DrawingModules, Priority, SelectionParams, Situation
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import View
@@ -29,8 +29,8 @@ class MaterialLightParams(Params):
 
     materials: tuple[MaterialName, ...] = Field((), description="names of materials; left out: any material")
     albedo: tuple[Share, Share] = Field((0.0, 1.0), description="range of albedo, least and greatest")
-    lx: NotNegative | None = Field(None, description="wanted illuminance; give this or luminance_cd_m2")
-    luminance_cd_m2: float | None = Field(None, ge=0, le=1e9, description="wanted luminance, of a diffuse surface with the albedo seen")
+    lx: NotNegative | None = Field(None, description="target illuminance; give this or luminance_cd_m2")
+    luminance_cd_m2: float | None = Field(None, ge=0, le=1e9, description="target luminance of a diffuse surface with the measured albedo")
 
     @model_validator(mode="after")
     def _one_quantity(self) -> Self:
@@ -53,16 +53,14 @@ class MaterialLightParams(Params):
         return value
 
     def illuminance(self, albedo: Tensor) -> Tensor:
-        """Wanted illuminance in lx, in the shape of the albedo."""
-        if self.quantity == "lx":
-            return torch.full_like(albedo, self.value)
-        return math.pi * self.value / albedo.clamp(min=0.01)
+        """Target illuminance in lx, in the shape of the albedo."""
+        return torch.full_like(albedo, self.value) if self.quantity == "lx" else math.pi * self.value / albedo.clamp(min=0.01)
 
 
 @dataclass(frozen=True, eq=False)
 class MaterialState:
-    """The last material image, `[height, width]` each. lx: wanted illuminance, NaN where there is none. light: index of the light that
-    applies, -1 for none. ground: bool, materials in the road's plane.
+    """State from the last material image, `[height, width]` each. lx: target illuminance, NaN without a light. light: index of the light,
+    -1 for none. ground: bool, materials in the road's plane.
     """
 
     view: View
@@ -75,12 +73,12 @@ class MaterialParams(SelectionParams):
     """Gives each material its own light; other surfaces keep the base beam."""
 
     kind: Literal["material"] = "material"
-    categories: tuple[Category, ...] = Field(get_args(Category), min_length=1, description="classes of objects that it lights")
+    categories: tuple[Category, ...] = Field(get_args(Category), min_length=1, description="classes of objects to light")
     lights: tuple[MaterialLightParams, ...] = Field(
         min_length=1, examples=[[{"materials": ["asphalt"], "lx": 10.0}]], description="lights of materials; the first that matches applies"
     )
     road_m: tuple[Metres, Metres] | None = Field(
-        (5.0, 60.0), description="range ahead in which the road is lit by material; none: the road is not"
+        (5.0, 60.0), description="range ahead in which the road is lit by material; none: the road is not lit"
     )
     road_width_m: Length = Field(16.0, description="width of that part of the road, about the car's centre line")
     margin_m: Distance = Field(0.2, description="margin of an object's rectangle beyond its box on all sides but the foot")
@@ -97,7 +95,7 @@ class MaterialParams(SelectionParams):
         """No state before the first frame."""
 
     def step(self, state: MaterialState | None, now: Situation) -> MaterialState | None:
-        """The image of wanted light. Raises LuxloopError if there is no source of materials."""
+        """The state after a frame. Raises LuxloopError without a source of materials."""
         seen = now.seen
         if seen is None:
             return state
@@ -119,9 +117,7 @@ class MaterialParams(SelectionParams):
             return ()
         margin = self.margin_m * torch.tensor([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]]).double()
         standing = [
-            facing(each.T_world_object.double(), each.bounds + margin, now.lamps.double().mean(0))
-            for each in self.select(now)
-            if each.present(now.time_s)
+            facing(each.T_world_object.double(), each.bounds + margin, now.lamps.double().mean(0)) for each in self.select_present(now)
         ]
         lying = [] if self.road_m is None else [self._road(now, *self.road_m)]
         drawn = ((standing, state.lx.masked_fill(state.ground, torch.nan)), (lying, state.lx.masked_fill(~state.ground, torch.nan)))
@@ -137,27 +133,13 @@ class MaterialParams(SelectionParams):
         return on_road(now.T_world_vehicle.double(), corner, across, back)
 
     def _draw(self, place: Place, lx: Tensor, view: View) -> Primitives:
-        """A primitive at a place that shows the camera's image along the camera's rays; transparent outside the image and where no light is
-        wanted.
-        """
+        """A primitive on a rectangle with the image of target illuminance along the camera's rays; transparent where there is no target."""
         wanted = ~lx.isnan()
         wanted[[0, -1]], wanted[:, [0, -1]] = False, False
         most = float(lx[wanted].max()) if bool(wanted.any()) else 0.0
         image = torch.stack([lx.nan_to_num() / max(most, 1e-9), wanted.to(lx)])
-        light = rectangle(
-            place.origin,
-            place.d1,
-            place.d2,
-            most,
-            "E_v",
-            normal=place.normal,
-            symbol=image.clamp(max=1),
-            priority=self.priority * LAYERS,
-            nearest=True,
-            modules=self.modules,
-        )
-        eye, corner, right, down = (each[None] for each in image_plane(view))
-        return replace(light, observer=Observer(eye, corner, right, down, active=torch.tensor([True])))
+        light = place.light(most, "E_v", symbol=image.clamp(max=1), priority=self.priority * LAYERS, nearest=True, modules=self.modules)
+        return replace(light, observer=Observer(*(each[None] for each in image_plane(view))))
 
 
 def image_plane(view: View) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -1,4 +1,4 @@
-"""Object-based lighting: a nearly dark road, and for each object as much light as its detection benefits from (T 9.3)."""
+"""Object-based lighting: a dimmed base beam, and on each object the illuminance at which its detection is best (T 9.3)."""
 
 import math
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from luxloop.controllers.functions.object_loop import Ambient, AmbientLoopParams, ObjectLoop, ObjectLoopParams
 from luxloop.controllers.geometry import Place
-from luxloop.controllers.pixels.primitives import Primitives, rectangle
+from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.situation import LAYERS, MASK, DrawingModules, Priority, SelectionParams, Situation, TrackedObject, fade
 from luxloop.perception.tracking import LINGER_S
 from luxloop.world.frames import transform
@@ -40,36 +40,27 @@ class ObjectLightParams(Params):
         {"pedestrian": 0.25, "cyclist": 0.25, "motorcycle": 0.3, "car": 0.45, "truck": 0.6},
         description="share of the box's height, from the top, that stays dark with all behind it: heads and windscreens",
     )
-    dark_lx: NotNegative = Field(
-        0.6, description="illuminance of the dark part, whatever the rest gets, with `ssc.a_d` = 1; detectors need heads"
-    )
+    dark_lx: NotNegative = Field(0.6, description="illuminance of the dark part, with `ssc.a_d` = 1; detectors need to see heads")
 
     def on(
         self, each: TrackedObject, lamps: Tensor, lx: float, priority: int, nearer: int, modules: tuple[str, ...]
     ) -> tuple[Primitives, ...]:
         """Primitives that light the object with lx and leave part of it dark; none for objects beside or behind the lamps.
 
-        lamps: positions `[L, 3]` m. nearer: number of nearer objects. The dark part overrides all light except on the cores of nearer
-        objects, which hide it. Only road users have a core, since much of an animal's box is air. The dark part reaches as far above the
-        box as into it, since a detector's box may end below a dark head.
+        lamps: positions `[L, 3]` m. nearer: number of nearer objects. The dark part overrides all light except on the opaque cores of
+        nearer objects. Only road users have a core, since much of an animal's box is air. The dark part extends equally far above and below
+        the top of the box, since a detector's box may end below a dark head.
         """
         (low, high), height = each.bounds, each.size_m[2]
         body = frontal(each.T_world_object, low, high, lamps, self.margin_m, self.margin_m)
         if body is None:
             return ()
-        layer, facing = (MASK - 2 * nearer) * LAYERS, body.normal
-        image = self._image(body)
-        parts = [
-            rectangle(body.origin, body.d1, body.d2, lx, "E_v", normal=facing, symbol=image, priority=priority * LAYERS, modules=modules)
-        ]
+        layer, image = (MASK - 2 * nearer) * LAYERS, self._image(body)
+        parts = [body.light(lx, "E_v", symbol=image, priority=priority * LAYERS, modules=modules)]
         if image is None and each.category in ROAD_USERS and not math.isnan(each.score):
             across, down = min(1.0, CORE_M / float(body.d1.norm())), 1 - self.margin_m / float(body.d2.norm())
-            core = body.origin + (1 - across) / 2 * body.d1
-            parts.append(
-                rectangle(
-                    core, across * body.d1, down * body.d2, lx, "E_v", normal=facing, forced=True, priority=layer - LAYERS, modules=modules
-                )
-            )
+            core = Place(body.origin + (1 - across) / 2 * body.d1, across * body.d1, down * body.d2, body.normal)
+            parts.append(core.light(lx, "E_v", forced=True, priority=layer - LAYERS, modules=modules))
         share = self.dark.get(each.category, 0.0)
         if each.confidence < SURE:
             share = max(share, self.dark.get("pedestrian", 0.0))
@@ -77,10 +68,7 @@ class ObjectLightParams(Params):
         below = TEXEL_RAD * float((body.origin - lamps.mean(0)).norm())
         eyes = frontal(each.T_world_object, low, high, lamps, self.margin_m, below) if share else None
         if eyes is not None:
-            dim = rectangle(
-                eyes.origin, eyes.d1, eyes.d2, self.dark_lx, "E_v", normal=eyes.normal, weight=math.inf, forced=True, priority=layer
-            )
-            parts.append(dim)
+            parts.append(eyes.light(self.dark_lx, "E_v", weight=math.inf, forced=True, priority=layer))
         return tuple(parts)
 
     def _image(self, place: Place) -> Tensor | None:
@@ -93,7 +81,7 @@ class ObjectLightParams(Params):
 
 
 def frontal(T_world_box: Tensor, low: Tensor, high: Tensor, lamps: Tensor, margin_m: float, foot_m: float) -> Place | None:
-    """The upright rectangle facing the lamps, in the plane of the box's nearest corner, that covers the box as seen from each lamp.
+    """The upright rectangle through the box's nearest corner that faces the lamps and covers the box as seen from each lamp.
 
     low, high: `[3]` m, opposite corners in the box's frame. lamps: `[L, 3]` m. margin_m: margin on all sides but the foot. foot_m: margin
     at the foot. None if a corner is nearer than NEAREST_M.
@@ -123,7 +111,7 @@ ALIKE = 1.5  # largest ratio of two apparent heights of the same object
 
 @dataclass(frozen=True)
 class Apparent:
-    """Angles in rad: azimuth (left positive), width and height. In the height, errors of the distance cancel out."""
+    """Appearance of an object: azimuth (left positive), width and height in rad. Errors of the distance cancel out in the height."""
 
     bearing_rad: float
     width_rad: float
@@ -131,14 +119,14 @@ class Apparent:
 
     @classmethod
     def of(cls, each: TrackedObject, lamps: Tensor) -> Self:
-        """The appearance of an object from the lamps' positions `[L, 3]` m."""
+        """The appearance of an object from lamps at `[L, 3]` m."""
         x, y, _ = (each.T_world_object[:3, 3].double() - lamps.double().mean(0)).tolist()
         _, width, height = each.size_m
         distance_m = max(math.hypot(x, y), NEAREST_M)
         return cls(math.atan2(y, x), width / distance_m, height / distance_m)
 
     def same(self, other: "Apparent") -> bool:
-        """Whether both are at the same place, within the larger width, and of about the same height."""
+        """Whether two appearances may be of the same object: azimuths within the larger width, heights within ALIKE."""
         off = abs(math.remainder(self.bearing_rad - other.bearing_rad, math.tau))
         low, high = sorted((self.height_rad, other.height_rad))
         return off < max(self.width_rad, other.width_rad) and high < ALIKE * low
@@ -165,17 +153,17 @@ class ObjectBasedParams(SelectionParams):
         description="`confidence`: loops on a detector's confidence; `class`: a setpoint for each class; `constant`: one setpoint for all",
     )
     categories: tuple[Category, ...] = Field(
-        ("pedestrian", "cyclist", "car", "animal", "truck", "motorcycle"), min_length=1, description="classes of objects that it lights"
+        ("pedestrian", "cyclist", "car", "animal", "truck", "motorcycle"), min_length=1, description="classes of objects to light"
     )
     ambient: AmbientLoopParams = Field(AmbientLoopParams(), description="loop of the base beam, for `confidence`")
     loop: ObjectLoopParams = Field(ObjectLoopParams(), description="loop of each object, for `confidence`")
     share: Share = Field(0.2, description="share of the base beam, for `class` and `constant`")
-    setpoint_lx: NotNegative = Field(10.0, description="setpoint on each object, for `constant`, and for classes without one of their own")
+    setpoint_lx: NotNegative = Field(10.0, description="setpoint on each object for `constant`, and on classes not in setpoints_lx")
     setpoints_lx: dict[Category, Annotated[float, Field(ge=0, le=1e6)]] = Field(
         {"pedestrian": 10.0, "cyclist": 10.0, "animal": 15.0, "car": 3.0, "truck": 3.0, "motorcycle": 5.0},
         description="setpoints on objects by their class, for `class`",
     )
-    light: ObjectLightParams = Field(ObjectLightParams(), description="where and how objects are lit")
+    light: ObjectLightParams = Field(ObjectLightParams(), description="area and pattern of the light on objects")
     fade_out_s: float = Field(0.6, ge=0, le=LINGER_S, description="time until the light on a vanished object is off")
     priority: Priority = 20
     modules: DrawingModules = ()
@@ -184,9 +172,9 @@ class ObjectBasedParams(SelectionParams):
         return ObjectBasedState(Ambient(self.ambient.first if self.method == "confidence" else self.share))
 
     def step(self, state: ObjectBasedState, now: Situation) -> ObjectBasedState:
-        """The state after one more frame; objects that the tracker no longer reports are dropped.
+        """The state after a frame; objects that the tracker no longer reports are dropped.
 
-        A new object at the place of a lost one continues its loop.
+        A new object at the place of a lost object continues the lost object's loop.
         """
         if self.method != "confidence":
             return state
@@ -235,7 +223,7 @@ class ObjectBasedParams(SelectionParams):
 
 
 def _in_sight(each: TrackedObject, now: Situation) -> bool:
-    """Whether the camera sees its centre; true without a camera."""
+    """Whether the camera sees the centre of an object; True without a camera."""
     if now.seen is None:
         return True
     middle = each.T_world_object[:3, 3:] + each.T_world_object[:3, 2:3] * each.size_m[2] / 2

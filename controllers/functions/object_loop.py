@@ -1,42 +1,31 @@
 """The loops of object-based lighting: light on one object, and the share of the base beam (T 9.3).
 
-An object's loop searches its illuminance by one of two search laws, keeps and monitors it, and searches again when the view has changed.
+An object's loop searches the illuminance by one of two search laws, keeps it, monitors the confidence, and searches again when the view has
+changed.
 """
 
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import Annotated, Literal, Self
+from operator import itemgetter
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from luxloop.controllers.situation import TrackedObject
-from luxloop.world.params import Params, Positive, PositiveShare, Share
+from luxloop.world.params import Params, Positive, PositiveShare, Share, in_order
 from luxloop.world.traffic.tracked import Category
 
-
-@dataclass(frozen=True)
-class Trial:
-    """A tried illuminance in lx and the mean confidence over some frames in it."""
-
-    lx: float
-    confidence: float
-
-
-@dataclass(frozen=True)
-class Next:
-    """The next illuminance in lx, to try or, at the end of the search, to keep."""
-
-    lx: float
-    settled: bool
+Trial = tuple[float, float]  # an illuminance in lx, and the mean confidence of the object over some frames in it
+Decision = tuple[float, bool]  # the next illuminance in lx, and whether the search ends with it
 
 
 class LowerParams(Params):
     """Starts bright, then bisects downwards while the confidence stays."""
 
     kind: Literal["lower"] = "lower"
-    bright_lx: Positive = Field(20.0, description="first illuminance on a new object; it gives the confidence in full light")
+    bright_lx: Positive = Field(20.0, description="first illuminance on a new object, which gives the confidence in full light")
     least_lx: Positive = Field(2.0, description="approximate lower limit of the illuminance")
     ratio: float = Field(
         1.5,
@@ -47,30 +36,26 @@ class LowerParams(Params):
     tolerance: Share = Field(0.02, description="loss of confidence against the best that is accepted")
     confirm: int = Field(2, ge=1, le=10, description="trials that must find an illuminance sufficient before it is kept")
 
-    @model_validator(mode="after")
-    def _downwards(self) -> Self:
-        if self.bright_lx < self.least_lx:
-            raise ValueError(f"bright_lx: {self.bright_lx:g} lx is below least_lx, {self.least_lx:g} lx; give more")
-        return self
+    _bounds_in_order = in_order("least_lx", "bright_lx", strict=False)
 
     @property
     def bounds_lx(self) -> tuple[float, float]:
         """Bounds in lx of the search for a new object."""
         return self.least_lx, self.bright_lx
 
-    def next(self, trials: Sequence[Trial], bounds_lx: tuple[float, float]) -> Next:
+    def next(self, trials: Sequence[Trial], bounds_lx: tuple[float, float]) -> Decision:
         """The geometric mean of the least illuminance that keeps the confidence and the greatest below it that does not."""
         least, most = bounds_lx
-        if all(trial.lx < most for trial in trials):
-            return Next(most, False)
+        if all(lx < most for lx, _ in trials):
+            return most, False
         confidence = means(trials)
         best = max(confidence, key=confidence.__getitem__)
         lost = [lx for lx, mean in confidence.items() if lx < best and mean < confidence[best] - self.tolerance]
         low = max(lost, default=least)
         high = min(lx for lx in confidence if lx > low or lx == best)
         if high > self.ratio * low:
-            return Next(math.sqrt(low * high), False)
-        return Next(high, sum(trial.lx == high for trial in trials) >= self.confirm)
+            return math.sqrt(low * high), False
+        return high, sum(lx == high for lx, _ in trials) >= self.confirm
 
 
 class RaiseParams(Params):
@@ -83,36 +68,31 @@ class RaiseParams(Params):
     gain: Share = Field(0.04, description="a step that gains less confidence than this counts as plateau")
     patience: int = Field(2, ge=1, le=10, description="number of such steps that ends the search")
 
-    @model_validator(mode="after")
-    def _upwards(self) -> Self:
-        if self.first_lx > self.most_lx:
-            raise ValueError(f"first_lx: {self.first_lx:g} lx is above most_lx, {self.most_lx:g} lx; give less")
-        return self
+    _bounds_in_order = in_order("first_lx", "most_lx", strict=False)
 
     @property
     def bounds_lx(self) -> tuple[float, float]:
         """Bounds in lx of the search for a new object."""
         return self.first_lx, self.most_lx
 
-    def next(self, trials: Sequence[Trial], bounds_lx: tuple[float, float]) -> Next:
-        """The illuminance one step higher, or that of the best step."""
+    def next(self, trials: Sequence[Trial], bounds_lx: tuple[float, float]) -> Decision:
+        """The illuminance one step higher, or at the end the illuminance of the best step."""
         least, most = bounds_lx
         if not trials:
-            return Next(least, False)
+            return least, False
         best, without = -math.inf, 0
-        for trial in trials:
-            without = 0 if trial.confidence >= best + self.gain else without + 1
-            best = max(best, trial.confidence)
-        lx = trials[-1].lx * self.factor
+        for _, confidence in trials:
+            without = 0 if confidence >= best + self.gain else without + 1
+            best = max(best, confidence)
+        lx = trials[-1][0] * self.factor
         if without < self.patience and lx <= most:
-            return Next(lx, False)
-        return Next(max(trials, key=lambda trial: trial.confidence).lx, True)
+            return lx, False
+        return max(trials, key=itemgetter(1))[0], True
 
 
 def means(trials: Sequence[Trial]) -> dict[float, float]:
     """Mean confidence over all trials, by illuminance in lx."""
-    ordered = sorted(trials, key=lambda trial: trial.lx)
-    groups = ((lx, [trial.confidence for trial in group]) for lx, group in groupby(ordered, key=lambda trial: trial.lx))
+    groups = ((lx, [confidence for _, confidence in group]) for lx, group in groupby(sorted(trials, key=itemgetter(0)), itemgetter(0)))
     return {lx: sum(found) / len(found) for lx, found in groups}
 
 
@@ -122,10 +102,11 @@ FOLLOWING = 0.2  # weight of a new mean in the expected confidence of a settled 
 
 @dataclass(frozen=True)
 class ObjectLoop:
-    """State of the loop. lx: setpoint. bounds_lx: of the search. category, height_rad: class and apparent height when the search began.
+    """State of an object's loop. lx: setpoint. bounds_lx: bounds of the search. category, height_rad: class and apparent height at the
+    start of the search.
 
-    scores: confidences in this light not averaged yet, 0 without detection. trials: of the search. expected: expected confidence, once
-    settled. recent: weighted mean of the latest scores. peak: highest mean in any light.
+    scores: confidences at this setpoint since the last mean, 0 without detection. trials: of the search. expected: expected confidence,
+    once settled. recent: weighted mean of the latest scores. peak: highest mean at any setpoint.
     """
 
     lx: float
@@ -162,21 +143,21 @@ class ObjectLoopParams(Params):
     @property
     def first_lx(self) -> float:
         """First illuminance in lx on a new object."""
-        return self.search.next((), self.search.bounds_lx).lx
+        return self.search.next((), self.search.bounds_lx)[0]
 
     def start(self, each: TrackedObject, height_rad: float) -> ObjectLoop:
         """The loop of a new object."""
         return ObjectLoop(self.first_lx, self.search.bounds_lx, each.category, height_rad, recent=_found(each))
 
     def at_limit(self, loop: ObjectLoop) -> bool:
-        """Whether only the base beam can help: settled at the brightest light, or after a search up to it that did not raise the
-        confidence.
+        """Whether more light on the object cannot help: settled at the brightest light, or after a search up to the brightest light that
+        did not raise the confidence.
         """
         most = self.search.bounds_lx[1]
         return loop.settled and (loop.lx >= most or (loop.bounds_lx[1] >= most and loop.recent > loop.expected - self.drop))
 
     def step(self, loop: ObjectLoop, each: TrackedObject, height_rad: float) -> ObjectLoop:
-        """The state after one more frame of the object in the commanded light."""
+        """The state after a frame of the object in the commanded light."""
         score = _found(each)
         loop = replace(loop, recent=loop.recent + RECENT * (score - loop.recent), scores=(*loop.scores, score))
         if len(loop.scores) < (self.watch_frames if loop.settled else self.frames):
@@ -192,10 +173,9 @@ class ObjectLoopParams(Params):
             least, most = self.search.bounds_lx
             bounds_lx = max(loop.lx / self.around, least), most if other else min(loop.lx * self.around, most)
             loop = replace(loop, bounds_lx=bounds_lx, category=each.category, height_rad=height_rad, trials=())
-        trials = (*loop.trials, Trial(loop.lx, mean))
-        following = self.search.next(trials, loop.bounds_lx)
-        expected = means(trials).get(following.lx, 0.0)
-        return replace(loop, lx=following.lx, settled=following.settled, trials=trials, expected=expected)
+        trials = (*loop.trials, (loop.lx, mean))
+        lx, settled = self.search.next(trials, loop.bounds_lx)
+        return replace(loop, lx=lx, settled=settled, trials=trials, expected=means(trials).get(lx, 0.0))
 
 
 def _found(each: TrackedObject) -> float:
@@ -204,7 +184,7 @@ def _found(each: TrackedObject) -> float:
 
 @dataclass(frozen=True)
 class Ambient:
-    """State of the loop. share: of the base beam, 0..1. rested: frames since the last step. risen: whether that step was up."""
+    """State of the ambient loop. share: of the base beam, 0..1. rested: frames since the last step. risen: whether the last step was up."""
 
     share: float
     rested: int = 0
@@ -212,31 +192,27 @@ class Ambient:
 
 
 class AmbientLoopParams(Params):
-    """Dims the base beam in steps, raises it at once if needed, and then waits long before it dims again, so that it does not hunt."""
+    """Dims the base beam in steps, raises it at once if needed, and then waits before dimming again, so that the loop does not hunt."""
 
-    first: Share = Field(1.0, description="share of the base beam at the start, which should show everything present")
+    first: Share = Field(1.0, description="share of the base beam at the start, which should show all objects")
     least: PositiveShare = Field(0.05, description="lower limit of the share, for objects not yet detected")
     fall: float = Field(0.5, gt=0, lt=1, description="factor of a step down, taken when every object is detected surely")
     fall_frames: int = Field(4, ge=1, le=300, description="frames before a step down")
     rise: float = Field(
-        2.0, gt=1, le=1e6, description="factor of a step up, taken when an object is doubtful and more light on it does not help"
+        2.0, gt=1, le=1e6, description="factor of a step up, taken when an object is doubtful although it gets the most light"
     )
     patience: int = Field(60, ge=1, le=1_000_000, description="frames without another step after a step up")
     doubtful: Share = Field(0.2, description="confidence below which an object that had more is doubtful")
     margin: Share = Field(0.1, description="confidence above `doubtful` from which on an object is detected surely")
 
-    @model_validator(mode="after")
-    def _begins_above(self) -> Self:
-        if self.first < self.least:
-            raise ValueError(f"first: {self.first:g} is below least, {self.least:g}; give least or more")
-        return self
+    _shares_in_order = in_order("least", "first", strict=False)
 
     def sure(self, confidence: float) -> bool:
         return confidence >= self.doubtful + self.margin
 
     def step(self, ambient: Ambient, confidences: Collection[float], exhausted: Collection[float]) -> Ambient:
-        """The state after one more frame. confidences: of all objects in view that were ever detected with certainty. exhausted:
-        confidences of those objects that gain nothing from more light of their own; the base beam rises for these only.
+        """The state after a frame. confidences: of all objects in view that were once detected surely. exhausted: confidences of the
+        objects that more light on the object cannot help; only these raise the base beam.
         """
         rested = ambient.rested + 1
         if min(exhausted, default=1.0) < self.doubtful and ambient.share < 1 and rested >= (self.patience if ambient.risen else 1):

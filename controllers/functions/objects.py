@@ -35,7 +35,7 @@ class SoftZoneParams(Params):
     """A larger box around the mask in which the base beam is dimmed."""
 
     margin_m: Length = Field(examples=[0.5], description="margin beyond the mask on each side")
-    u_rel: Share = Field(examples=[0.3], description="share of the base beam that remains in it")
+    u_rel: Share = Field(examples=[0.3], description="share of the base beam that remains in the zone")
 
 
 class GlareFreeParams(SelectionParams):
@@ -98,10 +98,10 @@ def extend_box(each: TrackedObject, margin_m: float, lamps: Tensor) -> tuple[Ten
 
 
 class SignParams(SelectionParams):
-    """Sets the light on traffic signs, to dim them or keep them readable."""
+    """Sets the light on traffic signs, to dim the signs or keep them readable."""
 
     kind: Literal["sign"] = "sign"
-    categories: tuple[Category, ...] = Field(("sign",), min_length=1, description="classes of objects that it dims")
+    categories: tuple[Category, ...] = Field(("sign",), min_length=1, description="classes of objects to dim")
     quantity: Literal["E_v", "u_abs", "u_rel"] = Field(
         "u_rel", description="unit of the setpoint: u_rel, share of the base beam; u_abs, utilisation; E_v, lx on the sign"
     )
@@ -117,7 +117,7 @@ class SignParams(SelectionParams):
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """One forced primitive in the face of each sign, facing the car."""
-        return tuple(self._face(each, now) for each in self.select(now) if each.present(now.time_s))
+        return tuple(self._face(each, now) for each in self.select_present(now))
 
     def _face(self, each: TrackedObject, now: Situation) -> Primitives:
         low, high = each.bounds + self.margin_m * torch.tensor([[0.0, -1.0, -1.0], [0.0, 1.0, 1.0]]).double()
@@ -137,7 +137,7 @@ class MarkerParams(DrawingParams, SelectionParams):
     """Directs the driver's attention to an object."""
 
     kind: Literal["marker"] = "marker"
-    categories: tuple[Category, ...] = Field(("pedestrian", "animal"), min_length=1, description="classes of objects that it marks")
+    categories: tuple[Category, ...] = Field(("pedestrian", "animal"), min_length=1, description="classes of objects to mark")
     target: Literal["road", "body"] = Field("road", description="`road`: a line towards the object; `body`: light on the object")
     width_m: Length = Field(0.25, description="width of the line")
     near_m: Length = Field(8.0, description="where the line starts, ahead of the lamps")
@@ -150,7 +150,7 @@ class MarkerParams(DrawingParams, SelectionParams):
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         if not self.active(now) or (image := animate(WHITE, self.animation, now.time_s)) is None:
             return ()
-        marked = [each for each in self.select(now) if each.present(now.time_s)]
+        marked = self.select_present(now)
         if self.target == "road":
             return tuple(part for each in marked for part in self._line(each, image, now))
         return tuple(self.draw(self._body(each, now), image, layer=1) for each in marked)

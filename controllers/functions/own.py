@@ -6,8 +6,8 @@ from dataclasses import astuple, dataclass
 from typing import Any
 
 from luxloop.controllers.functions.commands import FunctionCommands, Movable
-from luxloop.controllers.pixels.primitives import QUANTITIES, Primitives, meant
-from luxloop.controllers.situation import AdaptiveFunction, LightingFunction, Situation
+from luxloop.controllers.pixels.primitives import QUANTITIES, Primitives, names_module
+from luxloop.controllers.situation import Situation
 from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import ModuleCommand
@@ -22,35 +22,34 @@ class OwnFunction(plugin.OwnPart):
     """A user-defined function: `Name(**options)`."""
 
 
-def own_function(params: OwnFunction) -> LightingFunction | AdaptiveFunction:
+def own_function(params: OwnFunction) -> "CheckedFunction":
     """Import and construct the function. Raises LuxloopError if it does not exist, refuses its options or lacks a method."""
     return function_of(plugin.load(params.kind, KEY, ()), params)
 
 
-def function_of(made_by: type, params: OwnFunction) -> "CheckedFunction | CheckedAdaptive":
+def function_of(made_by: type, params: OwnFunction) -> "CheckedFunction":
     """As `own_function`, for a class that is already imported."""
-    learns = any(hasattr(made_by, method) for method in ADAPTIVE)
-    plugin.check_methods(made_by, f"{KEY}: {params.kind}", ADAPTIVE if learns else METHODS)
+    adaptive = any(hasattr(made_by, method) for method in ADAPTIVE)
+    plugin.check_methods(made_by, f"{KEY}: {params.kind}", ADAPTIVE if adaptive else METHODS)
     own = plugin.construct(made_by, params.kind, KEY, {}, params.options)
-    return CheckedAdaptive(own) if learns else CheckedFunction(own)
+    return CheckedFunction(own, adaptive, hasattr(own.part, "commands"))
 
 
 @dataclass(frozen=True)
 class CheckedFunction:
-    """A user-defined function whose primitives are checked."""
+    """A user-defined function whose results are checked. adaptive: whether it closes a loop over camera frames. commanding: whether it
+    commands modules.
+
+    All methods raise LuxloopError if the function fails.
+    """
 
     own: plugin.Guard
+    adaptive: bool
+    commanding: bool
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        """Raises LuxloopError where it fails or returns no primitives."""
+        """Raises LuxloopError if the result is not a list of primitives that lamps can draw."""
         return check_primitives(self.own.primitives(now), self.own, "primitives")
-
-
-@dataclass(frozen=True)
-class CheckedAdaptive:
-    """A user-defined adaptive function whose primitives are checked."""
-
-    own: plugin.Guard
 
     def start(self) -> Any:
         """The state before the first frame."""
@@ -61,11 +60,11 @@ class CheckedAdaptive:
         return self.own.step(state, now)
 
     def adapted(self, state: Any, now: Situation) -> tuple[Primitives, ...]:
-        """Raises LuxloopError where it fails or returns no primitives."""
+        """Raises LuxloopError if the result is not a list of primitives that lamps can draw."""
         return check_primitives(self.own.adapted(state, now), self.own, "adapted")
 
     def base_share(self, state: Any) -> float | None:
-        """Raises LuxloopError if the value is no share."""
+        """Raises LuxloopError if the result is not a share of the base beam."""
         share = self.own.base_share(state)
         if share is not None and not (isinstance(share, int | float) and 0 <= share <= 1):
             raise LuxloopError(
@@ -73,23 +72,8 @@ class CheckedAdaptive:
             )
         return share
 
-
-def own_commands(function: Any) -> Any:
-    """The object that commands modules for a function: `commands` of a user-defined function, if present, else the function itself."""
-    own = getattr(function, "own", None)
-    if not isinstance(own, plugin.Guard):
-        return function
-    return OwnCommands(own) if hasattr(own.part, "commands") else None
-
-
-@dataclass(frozen=True)
-class OwnCommands:
-    """The `commands` of a user-defined function, by names of lamps and modules, checked."""
-
-    own: plugin.Guard
-
     def command(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
-        """Raises LuxloopError where it fails, returns no commands, or names unknown modules."""
+        """The commands by module. Raises LuxloopError if the function's `commands` returns no commands, or names unknown modules."""
         given = self.own.commands(now)
         if not isinstance(given, Mapping) or not all(isinstance(name, str) and _possible(each) for name, each in given.items()):
             raise LuxloopError(
@@ -97,11 +81,11 @@ class OwnCommands:
                 "angles in deg and an intensity of 0 to 1"
             )
         for name in given:
-            if not any(meant((name,), module.name) for module in modules):
+            if not any(names_module((name,), module.name) for module in modules):
                 known = ", ".join(module.name for module in modules)
                 raise LuxloopError(f"{KEY}: {self.own.name}: commands the module {name!r}, which is not there; there are {known}")
         return FunctionCommands(
-            now.time_s, tuple((module.name, given[name]) for module in modules for name in given if meant((name,), module.name))
+            now.time_s, tuple((module.name, given[name]) for module in modules for name in given if names_module((name,), module.name))
         )
 
 
@@ -110,12 +94,11 @@ def _possible(command: Any) -> bool:
 
 
 def check_primitives(parts: Any, own: plugin.Guard, method: str) -> tuple[Primitives, ...]:
-    """The parts as a tuple of primitives. Raises LuxloopError if lamps cannot draw them."""
+    """The primitives that a method of a user-defined function returned. Raises LuxloopError if lamps cannot draw them."""
     where = f"{KEY}: {own.name}: {method}"
-    if not isinstance(parts, tuple | list) or not all(isinstance(each, Primitives) for each in parts):
-        what = (
-            type(parts).__name__ if not isinstance(parts, tuple | list) else f"list of {', '.join(type(each).__name__ for each in parts)}"
-        )
+    listed = isinstance(parts, tuple | list)
+    if not listed or not all(isinstance(each, Primitives) for each in parts):
+        what = f"list of {', '.join(type(each).__name__ for each in parts)}" if listed else type(parts).__name__
         raise LuxloopError(f"{where} gives a {what}; give a list of values made by luxloop.rectangle; an empty one draws nothing")
     for each in parts:
         if each.origin.ndim != 2:

@@ -14,7 +14,7 @@ from torch import Tensor
 from luxloop.controllers.geometry import Place, on_road, strip
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.situation import DrawingParams, Situation
-from luxloop.world.params import Length, Metres
+from luxloop.world.params import Length, Metres, in_order
 
 HALLEY_STEPS = 6  # from the best sample, Halley's cubic convergence needs three or four
 SAMPLES_PER_DEGREE = 64  # dense, since near a cusp the closest point may lie between two samples that are not the closest
@@ -131,7 +131,7 @@ class PathParams(DrawingParams):
 
 @lru_cache(maxsize=16)
 def cached_drawing(control_m: tuple[Point, ...], reach_m: float, texel_m: float) -> "Drawing":
-    """Cached, since every step asks for the same curve."""
+    """The drawing of a curve; cached, since a run draws few curves many times."""
     return Drawing(torch.tensor(control_m, dtype=torch.float64), reach_m, texel_m)
 
 
@@ -144,7 +144,7 @@ class Drawing:
     """
 
     def __init__(self, control: Tensor, reach_m: float, texel_m: float) -> None:
-        """All texels closer than reach_m to the curve; control: `[n + 1, 2]` m, x ahead and y left."""
+        """Compute all texels within reach_m of a curve. control: `[n + 1, 2]` m, x ahead and y left."""
         curve = point(control, torch.linspace(0, 1, 257).to(control))
         margin = reach_m + 2 * texel_m
         low, high = curve.amin(0) - margin, curve.amax(0) + margin
@@ -179,7 +179,8 @@ class Drawing:
         return on_road(T_world_vehicle, corner, corner.new_tensor([0.0, -width]), corner.new_tensor([-length, 0.0]))
 
     def band(self, half_width_m: float, offset_m: float | None = None) -> Tensor:
-        """A band `[h, w]` in 0..1 along the curve, with round ends. offset_m: of its centre line to the left; its ends are then straight.
+        """A band `[h, w]` in 0..1 along the curve, with round ends. offset_m: offset of the centre line to the left; then with straight
+        ends.
 
         The edges are soft over one texel.
         """
@@ -209,11 +210,7 @@ class Stretch(DrawingParams):
     near_m: Metres = Field()
     far_m: Metres = Field()
 
-    @model_validator(mode="after")
-    def _far_is_beyond_near(self) -> Self:
-        if self.far_m <= self.near_m:
-            raise ValueError(f"far_m: {self.far_m:g} m is not beyond near_m = {self.near_m:g} m, so nothing would be drawn; raise it")
-        return self
+    _range_in_order = in_order("near_m", "far_m")
 
 
 class LaneParams(Stretch):
@@ -223,8 +220,8 @@ class LaneParams(Stretch):
     style: Literal["carpet", "lines"] = Field("carpet", description="`carpet` fills the lane, `lines` marks its borders")
     lane_width_m: Length = Field(2.6, description="width of the carpet, or distance between the centres of the lines")
     line_width_m: Length = Field(0.2, description="width of a line")
-    near_m: Length = Field(6.0, description="where it starts, ahead of the car")
-    far_m: Length = Field(40.0, description="where it ends; in a tight bend it ends after a quarter turn")
+    near_m: Length = Field(6.0, description="start of the light, ahead of the car")
+    far_m: Length = Field(40.0, description="end of the light; in a tight bend at most a quarter turn")
     y_m: Metres = Field(0.0, description="lateral position of the lane's centre at the car, left positive")
     texel_m: float = Field(0.1, gt=0, le=1, description="resolution of the drawing in a bend")
 
@@ -248,8 +245,8 @@ class WidthParams(Stretch):
     kind: Literal["width"] = "width"
     vehicle_width_m: Length = Field(2.1, description="distance between the outer edges of the lines: the car's width with mirrors")
     line_width_m: Length = Field(0.15, description="width of a line")
-    near_m: Length = Field(5.0, description="where the lines begin, ahead of the car")
-    far_m: Length = Field(25.0, description="where they end")
+    near_m: Length = Field(5.0, description="start of the lines, ahead of the car")
+    far_m: Length = Field(25.0, description="end of the lines")
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         if not self.active(now):

@@ -22,7 +22,7 @@ from luxloop.controllers.functions.commands import (
 from luxloop.controllers.functions.material import MaterialParams
 from luxloop.controllers.functions.object_based import ObjectBasedParams
 from luxloop.controllers.functions.objects import GlareFreeParams, MarkerParams, SignParams
-from luxloop.controllers.functions.own import OwnFunction, own_commands, own_function
+from luxloop.controllers.functions.own import OwnFunction, own_function
 from luxloop.controllers.functions.path import LaneParams, PathParams, WidthParams
 from luxloop.controllers.functions.symbol import PrimitiveParams, SymbolFunctionParams
 from luxloop.controllers.functions.zone import ZoneParams
@@ -87,8 +87,8 @@ class LightingParams(Params):
 
     base: BaseBeamParams = Field(BaseBeamParams(), description="the light on which all functions are drawn")
     indicator: Indicator = Field("off", description="direction indicator, for functions with `indicated`; `hazard` indicates both sides")
-    raw: tuple[RawParams, ...] = Field((), description="given pixel utilisations that replace the base beam")
-    painted: tuple[PaintedParams, ...] = Field((), description="painted pixel utilisations, over what the functions give or in its place")
+    raw: tuple[RawParams, ...] = Field((), description="pixel utilisations from files that replace the base beam")
+    painted: tuple[PaintedParams, ...] = Field((), description="painted pixel utilisations, over or instead of the functions' light")
     power_limit: float | None = Field(None, gt=0, le=1, description="power limit of a lamp, as a share of all pixels on; left out: none")
     share: bool = Field(True, description="modules that reach the same point share its illuminance, so that light is not doubled")
     street_lamps: bool = Field(False, description="subtract the light of street lamps from setpoints")
@@ -107,7 +107,7 @@ class Plan:
     painted: Mapping[str, PaintLayer] = field(default_factory=dict)
 
     def for_module(self, name: str) -> Primitives | None:
-        """The primitives of a module, named by itself, its lamp or both ("left hires"); None if there are none."""
+        """The primitives of a module, named by itself, its lamp or both ("left hires"); None without any."""
         mine = None if self.primitives is None else self.primitives.for_module(name)
         return mine if mine is not None and len(mine) else None
 
@@ -149,7 +149,9 @@ class Planner:
     @cached_property
     def adaptive(self) -> Mapping[str, AdaptiveFunction]:
         """The functions whose state depends on camera frames, by name."""
-        return {name: each for name, each in self.functions.items() if isinstance(each, AdaptiveFunction)}
+        return {
+            name: each for name, each in self.functions.items() if isinstance(each, AdaptiveFunction) and getattr(each, "adaptive", True)
+        }
 
     @cached_property
     def painted(self) -> Mapping[str, PaintLayer]:
@@ -163,8 +165,11 @@ class Planner:
     @cached_property
     def commanding(self) -> Mapping[str, CommandingFunction]:
         """The functions that command modules, by name."""
-        found = ((name, own_commands(each)) for name, each in self.functions.items())
-        return {name: each for name, each in found if isinstance(each, CommandingFunction)}
+        return {
+            name: each
+            for name, each in self.functions.items()
+            if isinstance(each, CommandingFunction) and getattr(each, "commanding", True)
+        }
 
     @property
     def learns(self) -> bool:
@@ -185,7 +190,7 @@ class Planner:
         return stepped
 
     def command(self, given: Mapping[str, FunctionCommands], now: Situation, modules: Sequence[Movable]) -> Mapping[str, FunctionCommands]:
-        """The commands of all functions now for the car's modules, by name. given: their previous commands."""
+        """The present commands of all functions for the car's modules, by function. given: the previous commands."""
         found = {}
         for name, each in self.commanding.items():
             with locate(f"functions.{name}"):
@@ -203,7 +208,7 @@ class Planner:
         return found
 
     def plan(self, now: Situation, states: States | None = None) -> Plan:
-        """Compose the primitives of all functions into a plan. states: of the adaptive functions, by default those of `start`."""
+        """Compose the primitives of all functions into a plan. states: of the adaptive functions, by default the initial states."""
         states = self.start() if states is None else states
         return self.compose(now, states, self.draw(now, states))
 

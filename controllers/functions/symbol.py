@@ -27,16 +27,16 @@ DRIVER_M = (-1.6, 0.35, 1.3)  # the driver's eye, in the vehicle frame
 
 
 class ConditionParams(SelectionParams):
-    """True while any of the selected objects is within the given distances (T fig. 7.10)."""
+    """True while a selected object is within the distances (T fig. 7.10)."""
 
     categories: tuple[Category, ...] = Field(
         ("car", "truck", "motorcycle", "cyclist", "pedestrian", "animal", "other"),
         min_length=1,
-        description="classes of objects that fulfil it",
+        description="classes of objects that fulfil the condition",
     )
 
     def holds(self, now: Situation) -> bool:
-        return any(each.present(now.time_s) for each in self.select(now))
+        return bool(self.select_present(now))
 
 
 class ObserverParams(Params):
@@ -88,19 +88,19 @@ class SymbolFunctionParams(DrawingParams):
     width_m: Length = Field(2.0, description="extent across")
     length_m: Length = Field(4.0, description="extent along")
     animation: AnimationParams | None = Field(None, description="animation; left out: none but that of a video itself")
-    when: ConditionParams | None = Field(None, description="draw only while such an object is present")
-    unless: ConditionParams | None = Field(None, description="do not draw while such an object is present")
-    observer: ObserverParams | None = Field(None, description="observer for whom it looks undistorted; replaces x_m to length_m")
+    when: ConditionParams | None = Field(None, description="draw only while a selected object is present")
+    unless: ConditionParams | None = Field(None, description="do not draw while a selected object is present")
+    observer: ObserverParams | None = Field(None, description="observer for whom the symbol looks undistorted; replaces x_m to length_m")
     controller: ControllerParams | None = Field(
-        None, description="controller that holds the symbol straight by what the camera sees; left out: none"
+        None, description="controller that holds the symbol undistorted by camera feedback; left out: none"
     )
     start: StartParams | None = Field(None, description="pose at which control starts; left out: at x_m, y_m")
     target: Literal["appearance", "place"] = Field(
         "appearance",
-        description="what the controller holds at x_m, y_m: the appearance of a symbol on a flat road, or the symbol on the real road",
+        description="quantity held at x_m, y_m: the symbol's appearance on a flat road, or its place on the real road",
     )
     features: FeatureParams = Field(FeatureParams(), description="image features of the symbol that its controller uses")
-    extraction: Extraction = Field(ExtractionParams(), description="how the symbol is found in the image")
+    extraction: Extraction = Field(ExtractionParams(), description="extraction of the symbol from the image")
 
     @model_validator(mode="after")
     def _held_or_not(self) -> Self:
@@ -162,8 +162,7 @@ class SymbolFunctionParams(DrawingParams):
             raise LuxloopError(
                 "observer.centre_m and height_m put the picture above the observer's eye, with no road behind it; lower the picture"
             )
-        origin, d1, d2 = picture
-        observer = Observer(eye[None], origin[None], d1[None], d2[None], active=torch.tensor([True]))
+        observer = Observer(*(each[None] for each in (eye, *picture)))
         return replace(self.draw(Place(*place, T[:3, 2]), image), observer=observer)
 
 

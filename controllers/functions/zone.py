@@ -1,8 +1,8 @@
 """Zones: places controlled to a target luminance, independent of their reflectance (T 9.3, fig. 9.6).
 
-The camera measures a zone's luminance and a PID sets its illuminance. The unknown reflectance is a factor between the two, hence an offset
-between their logarithms, so the loop gain is the same on black cloth as on paint. The loop's output is its own integrator, limited to the
-lamps' range, so it does not wind up.
+The camera measures the luminance of a zone, and a PID sets the illuminance. The unknown reflectance is a factor between both quantities,
+hence an offset between their logarithms, so the loop gain is the same on black cloth as on paint. The PID is incremental and its output is
+limited to the lamps' range, so that it does not wind up.
 """
 
 import math
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from luxloop.controllers.geometry import Place, facing
 from luxloop.controllers.pid import PidGains, PidParams, PidState, pid_gains, pid_reset, pid_step
-from luxloop.controllers.pixels.primitives import Primitives, meant, rectangle
+from luxloop.controllers.pixels.primitives import Primitives, names_module
 from luxloop.controllers.situation import LAYERS, DrawingModules, Priority, Situation
 from luxloop.world.frames import View, inverse, pose_from_degrees
 from luxloop.world.params import Degrees, Metres, NotNegative, Params, Positive, Slope
@@ -26,7 +26,7 @@ def box_region(view: View, T_world_box: Tensor, low: Tensor, high: Tensor) -> Te
     """Pixels whose centres see a box, `[height, width]` bool, ignoring occlusion.
 
     T_world_box: `[4, 4]`. low, high: `[3]` m, opposite corners in the box's frame; equal along one axis of a rectangle. A ray hits the box
-    where it is between all three pairs of planes at once (slab method).
+    where it lies between all three pairs of planes at once (slab method).
     """
     T = inverse(T_world_box.to(view.T_world_view))
     eye = T[:3, :3] @ view.origin + T[:3, 3]
@@ -44,7 +44,9 @@ LIMIT_POINTS = 5  # along each side of a zone, at which the lamps' largest illum
 
 @dataclass(frozen=True)
 class ZoneState:
-    """pid: one loop `[1]`; its output is the natural logarithm of the illuminance in lx. luminance: last measured, cd/m^2, NaN before."""
+    """State. pid: one loop `[1]` whose output is the natural logarithm of the illuminance in lx. luminance: last measured, in cd/m^2, or
+    NaN.
+    """
 
     pid: PidState
     luminance: float = math.nan
@@ -72,7 +74,7 @@ class ZoneParams(Params):
     start_lx: Positive = Field(1.0, description="illuminance before the first measurement")
     pid: PidParams = Field(
         PidParams(kp=0.7, form="incremental", lower=-5.0, rate_limit=2.0),
-        description="PID from the logarithm of luminance to the logarithm of illuminance; its time is in steps",
+        description="PID from the logarithm of luminance to the logarithm of illuminance; time is in steps",
     )
     weight: NotNegative = Field(20.0, description="weight against other light where a pixel lights more than the zone; the base beam has 1")
     priority: Priority = 0
@@ -88,7 +90,7 @@ class ZoneParams(Params):
         return ZoneState(pid_reset(self._gains, torch.tensor([math.log(self.start_lx)], dtype=torch.float64)))
 
     def step(self, state: ZoneState, now: Situation) -> ZoneState:
-        """One step of the loop on the last frame; the state stays while the zone is out of the image."""
+        """The state after the last frame; unchanged while the zone is outside the image."""
         if now.seen is None or not bool((region := region_of(self, now.seen.view)).any()):
             return state
         values = now.seen.luminance[region.to(now.seen.luminance.device)].double()
@@ -101,21 +103,9 @@ class ZoneParams(Params):
         return ZoneState(pid_step(state.pid, state.pid.output.new_tensor([error]), 1.0, gains), luminance)
 
     def adapted(self, state: ZoneState, now: Situation) -> tuple[Primitives, ...]:
-        """One rectangle: the zone itself, or for a box the upright one through its centre that faces the lamps."""
-        place = self.place(now.lamps)
-        return (
-            rectangle(
-                place.origin,
-                place.d1,
-                place.d2,
-                state.lx,
-                "E_v",
-                normal=place.normal,
-                weight=self.weight,
-                priority=self.priority * LAYERS,
-                modules=self.modules,
-            ),
-        )
+        """One rectangle: the zone itself, or for a box the upright rectangle through its centre that faces the lamps."""
+        keys = {"weight": self.weight, "priority": self.priority * LAYERS, "modules": self.modules}
+        return (self.place(now.lamps).light(state.lx, "E_v", **keys),)
 
     def base_share(self, state: ZoneState) -> None:
         """No demand on the base beam."""
@@ -124,7 +114,7 @@ class ZoneParams(Params):
     def box(self) -> tuple[Tensor, Tensor, Tensor]:
         """Pose `[4, 4]` of the zone in the world, and two opposite corners `[3]` m in its frame."""
         high = torch.tensor(self.size_m, dtype=torch.float64) / 2
-        return self._T_world_zone, -high, high
+        return pose_from_degrees(self.centre_m, self.roll_deg, self.pitch_deg, self.yaw_deg), -high, high
 
     def place(self, lamps: Tensor) -> Place:
         """The rectangle to light. lamps: positions `[L, 3]` m that the rectangle of a box faces."""
@@ -138,16 +128,12 @@ class ZoneParams(Params):
         return Place(T[:3, 3] - (d1 + d2) / 2, d1, d2, towards * T[:3, flat])
 
     @property
-    def _T_world_zone(self) -> Tensor:
-        return pose_from_degrees(self.centre_m, self.roll_deg, self.pitch_deg, self.yaw_deg)
-
-    @property
     def _gains(self) -> PidGains:
         return pid_gains([self.pid], torch.float64)
 
     def _most_lx(self, now: Situation) -> Tensor:
-        """The largest illuminance in lx that the lamps can give anywhere in the zone; infinite if the lamps are unknown."""
-        lights = [light for name, light in now.lights if meant(self.modules, name)]
+        """The largest illuminance in lx that the lamps can give in the zone; infinite if the lamps are unknown."""
+        lights = [light for name, light in now.lights if names_module(self.modules, name)]
         if not lights:
             return torch.tensor(math.inf, dtype=torch.float64)
         place = self.place(now.lamps)

@@ -103,7 +103,7 @@ class Homographies:
 
     @cached_property
     def margin(self) -> tuple[Tensor, Tensor]:
-        """aside and wider `[..., P, 2]`, by which a mask's edges move to extend it by one texel: |uv - aside| <= n + wider."""
+        """aside and wider `[..., P, 2]`, which extend a mask by one texel: |uv - aside| <= n + wider."""
         n, mask = self.n[..., None, :], self.mask[..., None]
         less, more = self._change(n - self.uv), self._change(n + self.uv)
         return mask * (less - more) / 2, mask * (less + more) / 2

@@ -1,7 +1,7 @@
 """Joint pixel optimisation (JPO, T 3.5.2, 8.4): the utilisations of all pixels that together come closest to the target intensities.
 
-`Jpo` minimises absolute deviations (`luxloop.controllers.pixels.jpo_solvers`) or squares (`luxloop.controllers.pixels.jpo_solvers`) with a
-budget of iterations per step, starts from SSC, and has the protocol of all pixel controllers.
+`Jpo` minimises absolute or squared deviations (`luxloop.controllers.pixels.jpo_solvers`) with a budget of iterations per step. It starts
+from SSC and has the protocol of all pixel controllers.
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from torch import Tensor
 
 from luxloop.controllers.pixels.jpo_part import PixelGoal, pixel_goal, reaching
 from luxloop.controllers.pixels.jpo_solvers import least_error, least_squares
-from luxloop.controllers.pixels.mrpc import MrpcParams
+from luxloop.controllers.pixels.pixel_major import MrpcParams
 from luxloop.controllers.pixels.primitives import E_V, I_V, U_REL, Primitives
 from luxloop.controllers.pixels.secondary import SecondaryRays
 from luxloop.controllers.pixels.ssc import Ssc, Utilisation
@@ -24,9 +24,7 @@ from luxloop.world.params import Params
 class JpoParams(Params):
     """Real-time joint pixel optimisation."""
 
-    objective: Literal["mae", "least_squares"] = Field(
-        "mae", description="what to minimise: the sum of absolute (mae) or of squared deviations"
-    )
+    objective: Literal["mae", "least_squares"] = Field("mae", description="objective: the sum of absolute (mae) or of squared deviations")
     iterations: int = Field(40, ge=1, le=100_000, description="iterations per step; docs/jpo.md shows their effect")
 
 
@@ -59,7 +57,7 @@ class Jpo:
         return self.ssc.default
 
     def over(self, default: Tensor) -> "Jpo":
-        """The same tables over another base pattern `[n_p]`."""
+        """The controller over another base pattern `[n_p]`, with the same tables."""
         return replace(self, ssc=self.ssc.over(default))
 
     def utilisation(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Utilisation:
@@ -88,8 +86,6 @@ class Jpo:
         )  # cd per unit of value (T 7.2.1), [..., rows, cols]
         asked = setpoints.value * unit
         weight = torch.ones_like(asked) if setpoints.weight is None else setpoints.weight
-        if setpoints.forced is not None:
-            weight = weight.masked_fill(setpoints.forced > 0, torch.inf)
         texture = of_default.expand(*asked.shape[:-2], -1, -1).clone()
         weights, counts = torch.ones_like(texture), torch.zeros_like(texture, dtype=torch.bool)
         texture[cut] = torch.where(hit, asked, texture[cut])

@@ -1,8 +1,8 @@
-"""Reduction of a joint optimisation to its undecided pixels and the texels that they light.
+"""Reduction of a joint optimisation to the free pixels and the texels that these pixels light.
 
-Luminous intensities are not negative. So the error of a texel with setpoint zero is its light, linear in every utilisation, and the light
-of fixed pixels is subtracted from setpoints. A pixel that lights no texel with a positive setpoint can only increase the error and is off
-in every optimum. For a symbol a few hundred of 16 k pixels remain.
+Luminous intensities are not negative. So the error of a texel with setpoint zero is linear in every utilisation, and the light of fixed
+pixels is subtracted from setpoints. A pixel that lights no texel with a positive setpoint can only increase the error and is off in every
+optimum. For a symbol a few hundred of 16 k pixels remain.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
-from luxloop.world.spmv import Csr, multiply, row_of_entries
+from luxloop.world.spmv import Csr, entries_in, multiply, row_of_entries
 
 HARD = 1_000.0  # limit of weights of positive setpoints, even infinite ones: a lamp can be forced to be dark, but not to give light
 
@@ -66,17 +66,6 @@ def reaching(transposed: Csr, texels: Tensor) -> Tensor:
     return multiply(transposed, texels.to(transposed.values)) > 0
 
 
-def submatrix(matrix: Csr, rows: Tensor, cols: Tensor) -> Csr:
-    """`A[rows][:, cols]` for ascending cols; its cost is proportional to the entries in these rows."""
-    number = torch.full((matrix.n_cols,), -1, dtype=torch.int32, device=cols.device)
-    number[cols] = torch.arange(len(cols), dtype=torch.int32, device=cols.device)
-    row, entry = _entries(matrix, rows)
-    col = number[matrix.indices[entry]]
-    kept = col >= 0
-    stop = torch.bincount(row[kept], minlength=len(rows)).cumsum(0)
-    return Csr(torch.nn.functional.pad(stop, (1, 0)).int(), col[kept], matrix.values[entry[kept]], len(cols))
-
-
 def every_nth_column(matrix: Csr, n: int) -> list[Csr]:
     """`A[:, k::n]` for all k from 0 to n - 1 that have columns."""
     rows, count = matrix.n_rows, min(n, matrix.n_cols)
@@ -94,18 +83,10 @@ def anywhere(mask: Tensor) -> Tensor:
 
 
 def reached_rows(transposed: Csr, cols: Tensor) -> Tensor:
-    """Texels `[n_t]` bool that these pixels light. transposed: the pixel-major matrix."""
+    """Texels `[n_t]` bool that pixels `[m]` light. transposed: the pixel-major matrix."""
     lit = torch.zeros(transposed.n_cols, dtype=torch.bool, device=cols.device)
-    lit[transposed.indices[_entries(transposed, cols)[1]].long()] = True
+    lit[transposed.indices[entries_in(transposed, cols)[1]].long()] = True
     return lit
-
-
-def _entries(matrix: Csr, rows: Tensor) -> tuple[Tensor, Tensor]:
-    """For all entries in these rows: index into rows, and index into the stored values."""
-    start, stop = matrix.indptr[:-1].long()[rows], matrix.indptr[1:].long()[rows]
-    row = torch.repeat_interleave(torch.arange(len(rows), device=rows.device), stop - start)
-    before = (stop - start).cumsum(0) - (stop - start)
-    return row, torch.arange(len(row), device=rows.device) + (start - before)[row]
 
 
 def residual_target(matrix: Csr, goal: PixelGoal) -> Tensor:

@@ -51,7 +51,7 @@ class Raster:
         return torch.stack([x, y, torch.zeros_like(x)]).reshape(3, n * n, self.rows * self.cols)
 
     def cells(self, x: Tensor, y: Tensor) -> Tensor:
-        """Numbers of the cells of points, -1 outside."""
+        """Cell indices of points x, y in m; -1 outside."""
         row = ((x - self.x_min) / (self.x_max - self.x_min) * self.rows).floor()
         col = ((y - self.y_min) / (self.y_max - self.y_min) * self.cols).floor()
         inside = (row >= 0) & (row < self.rows) & (col >= 0) & (col < self.cols)
@@ -60,7 +60,7 @@ class Raster:
 
 @dataclass(frozen=True, eq=False)
 class PlaneLight:
-    """The fitted light. u: `[n_p]` of each module. chosen: `[n_p]` bool of each, the fitted pixels. lx: `[cells]`."""
+    """Result. u: utilisation `[n_p]` of each module. chosen: `[n_p]` bool of each module, the fitted pixels. lx: `[cells]`, illuminance."""
 
     u: tuple[Tensor, ...]
     chosen: tuple[Tensor, ...]
@@ -72,8 +72,9 @@ def fit_plane(
 ) -> PlaneLight:
     """Utilisations with the least squared error of the illuminance of the cells, in 255 steps.
 
-    lamps: each module with its pose `[4, 4]` in the frame of the plane and its present utilisation `[n_p]`, kept by pixels that light no
-    cell with a target. wanted_lx, where: `[cells]`, lx and bool. Raises LuxloopError where no pixel lights these.
+    lamps: each module with its pose `[4, 4]` in the frame of the plane and its present utilisation `[n_p]`; pixels that light no cell with
+    a target keep it. wanted_lx: target `[cells]` in lx. where: `[cells]` bool, cells with a target. Raises LuxloopError if no pixel lights
+    these cells.
     """
     matrices, chosen = [], []
     for light, T_plane_headlight, _ in lamps:
@@ -100,7 +101,7 @@ def fit_plane(
 def lighting(headlight: Headlight, T_world_headlight: Tensor, point: Tensor) -> tuple[Tensor, Tensor]:
     """The pixels that light a point `[3]`, and their luminous intensities in cd towards it.
 
-    They give at least MUCH of the brightest pixel's intensity there, and at least THERE of their own peak.
+    Each pixel gives at least MUCH of the brightest pixel's intensity at the point, and at least THERE of its own peak.
     """
     x, y, z = transform(inverse(T_world_headlight.double().cpu()), point.double()[:, None])
     texel, weight = bilinear(headlight, *headlight.texel_of(y / x, z / x))
@@ -118,7 +119,7 @@ def lighting(headlight: Headlight, T_world_headlight: Tensor, point: Tensor) -> 
 
 
 def _on_plane(grid: TexelGrid, T_plane_headlight: Tensor, raster: Raster) -> sp.csr_matrix:
-    """`[cells, texels]` in lx per cd: the mean illuminance of a cell."""
+    """Mean illuminance of the cells by the texels, `[cells, texels]` in lx per cd."""
     T = T_plane_headlight.double().cpu()
     y, z = grid.tangents(torch.float64, torch.device("cpu"))
     z, y = (each.flatten() for each in torch.meshgrid(z, y, indexing="ij"))

@@ -11,7 +11,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from luxloop.controllers.pixels.jpo_part import PixelGoal, anywhere, every_nth_column, reached_rows, residual_target, submatrix
+from luxloop.controllers.pixels.jpo_part import PixelGoal, anywhere, every_nth_column, reached_rows, residual_target
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
 from luxloop.world.spmv import Csr, multiply, solve
@@ -24,8 +24,8 @@ CHECKED_EVERY = 20  # iterations between checks of the gap, each of which synchr
 
 @dataclass(frozen=True)
 class LeastError:
-    """Result. u: `[..., n_p]`. error: `[...]` cd, the weighted sum of absolute deviations at u. bound: `[...]` cd, its lower bound for any
-    utilisation. iterations: number made. entries: number of entries of the headlight matrix that each iteration reads twice.
+    """Result. u: `[..., n_p]`. error: `[...]` cd, weighted sum of absolute deviations at u. bound: `[...]` cd, lower bound of the error for
+    any utilisation. iterations: number of iterations. entries: number of matrix entries that each iteration reads twice.
     """
 
     u: Tensor
@@ -112,9 +112,7 @@ class _Problem:
         return (self.w * (light - self.s) / near.clamp(min=torch.finfo(self.s.dtype).tiny)).clamp(-self.w, self.w)
 
     def steps(self) -> tuple[Tensor, Tensor]:
-        """Step widths tau `[..., n]` and sigma `[..., m]` in units of u and w; they converge for any PRIMAL_WEIGHT (Pock and Chambolle
-        2011).
-        """
+        """Step widths tau `[..., n]` and sigma `[..., m]`, in units of u and w; convergent for any PRIMAL_WEIGHT (Pock, Chambolle 2011)."""
         reach = multiply(self.A, torch.ones_like(self.c[(0,) * (self.c.ndim - 1)]))
         ssc = torch.where(self.upper > 0, 1 / self.gain, 0.0) * torch.stack(self.pulls(self.w * (self.s / reach).clamp(max=1))).sum(0)
         pace = PRIMAL_WEIGHT * ssc.sum(-1, keepdim=True) / self.upper.sum(-1, keepdim=True).clamp(min=1)
@@ -124,10 +122,10 @@ class _Problem:
 
 
 def _reduce_problem(matrix: Csr, goal: PixelGoal) -> _Problem:
-    """Reduce the problem to the pixels and texels that are not decided beforehand.
+    """Reduce the problem to the pixels that can be on in an optimum, and the texels that they light.
 
-    The error of a texel without a positive setpoint is linear in u. A pixel whose light costs more there than it can ever gain at the other
-    texels is off in every optimum. Rows that only such pixels light are not needed.
+    The error of a texel without a positive setpoint is linear in u. A pixel whose light costs more at these texels than it can gain at the
+    other texels is off in every optimum.
     """
     transposed = matrix.transpose
     target = residual_target(matrix, goal)
@@ -136,10 +134,10 @@ def _reduce_problem(matrix: Csr, goal: PixelGoal) -> _Problem:
     useful = goal.free & (gain > cost)
     cols = anywhere(useful).nonzero()[:, 0]
     rows = (anywhere(short) & reached_rows(transposed, cols)).nonzero()[:, 0]
-    columns = every_nth_column(submatrix(transposed, cols, rows), SUBSETS)
+    columns = every_nth_column(transposed.part(cols, rows), SUBSETS)
     sizes = [piece.n_cols for piece in columns]
     rows = torch.cat([rows[k::SUBSETS] for k in range(SUBSETS)])
-    A, stops = submatrix(matrix, rows, cols), [sum(sizes[:k]) for k in range(len(sizes) + 1)]
+    A, stops = matrix.part(rows, cols), [sum(sizes[:k]) for k in range(len(sizes) + 1)]
     s, w = target[..., rows], torch.where(short, goal.weight, 0.0)[..., rows]
     return _Problem(
         cols,
@@ -174,7 +172,7 @@ def least_squares(matrix: Csr, goal: PixelGoal, iterations: int = 300, tolerance
     rows = reached_rows(transposed, cols).nonzero()[:, 0]
     u = torch.where(goal.free, 0.0, goal.start)
     if len(cols):
-        A = submatrix(matrix, rows, cols)
+        A = matrix.part(rows, cols)
         start, upper = goal.start[..., cols], useful[..., cols].to(target)
         weight = goal.weight[..., rows].sqrt()
         u[..., cols] += solve(

@@ -9,9 +9,8 @@ from torch import Tensor
 from luxloop.controllers.pixels.pixel_major import MrpcParams, PixelMajor
 from luxloop.controllers.pixels.primitives import E_V, HEAVIEST, I_V, U_ABS, U_REL
 from luxloop.controllers.pixels.rthc import RayBatch, Setpoints, Stroke, expand
-from luxloop.controllers.pixels.windows import Window
 from luxloop.world.spmv import Csr, multiply, row_of_entries, span_of
-from luxloop.world.texels import TexelGrid
+from luxloop.world.texels import TexelGrid, Window
 
 MOST = 0.7  # share of all pixels above which a part of the matrix costs more than it saves
 
@@ -42,24 +41,24 @@ class Band:
 
     @classmethod
     def of_window(cls, pixels: PixelMajor, w: Window) -> "Band":
-        """The band of the pixels that reach the rows of a window."""
+        """The band of pixels that reach the texture rows of a window."""
         grid = pixels.grid
         if w.empty:
             return cls(slice(0, 0), slice(0, 0))
-        if (w.row_start, w.row_stop) == (0, grid.rows):
+        if (w.v_start, w.v_stop) == (0, grid.rows):
             return cls(slice(0, grid.n_pixels), slice(0, grid.rows))
-        low, high = span_of(pixels.pixel_first, pixels.pixel_last, slice(w.row_start, w.row_stop))
+        low, high = span_of(pixels.pixel_first, pixels.pixel_last, slice(w.v_start, w.v_stop))
         first = min(low, grid.n_pixels)
         band = slice(first, max(high + 1, first))
         if band.stop - band.start > MOST * grid.n_pixels:
             return cls(slice(0, grid.n_pixels), slice(0, grid.rows))
         if band.stop == band.start:
-            return cls(band, slice(w.row_start, w.row_stop))
+            return cls(band, slice(w.v_start, w.v_stop))
         low, high = span_of(pixels.row_first, pixels.row_last, band)
-        return cls(band, slice(min(low, w.row_start), max(high + 1, w.row_stop)))
+        return cls(band, slice(min(low, w.v_start), max(high + 1, w.v_stop)))
 
     def blank(self, like: Tensor, batch: tuple[int, ...], grid: TexelGrid, filled: float) -> Tensor:
-        """An image `[..., rows, cols]` of the texture, filled in the band's rows; the other rows are undefined and never read."""
+        """A constant image `[..., rows, cols]` of the texture; rows outside the band are undefined and never read."""
         texture = like.new_empty(*batch, grid.rows, grid.cols)
         texture[..., self.rows, :].fill_(filled)  # three times as fast as an assignment
         return texture
@@ -75,12 +74,13 @@ RULING = 1e36  # stands for an infinite weight of a zero setpoint; no sum of fin
 RULED = 2 * HEAVIEST  # sums from here on contain an infinite weight; sums of finite weights are smaller
 
 
-Image = Tensor | float  # a number holds for all rays
+Image = Tensor | float  # a number for all rays
 
 
 @dataclass(frozen=True)
 class _Piece:
-    """Rays of a window with a setpoint: all, or those where hit is 1. The other fields are images, or None where not needed.
+    """Setpoints of the rays of a window: of all rays, or of those where hit is 1. The other fields are images, numbers that hold for all
+    rays, or None if not needed.
 
     missed: 1 where no primitive is hit. relative, in_cd: 1 where the value is a share of the default or an intensity.
     """
@@ -101,7 +101,7 @@ def _pieces(asked: Setpoints | RayBatch) -> Iterator[_Piece]:
         yield _Piece(asked.window, None, asked.value, asked.finite, asked.forced, 1 - asked.cover, in_cd, relative)
         return
     weights = asked.primitives.weight.tolist() if None not in asked.is_mask else []
-    for stroke in asked.strokes(in_parts=True):
+    for stroke in asked.strokes():
         finite: Image = stroke.finite
         forced: Image = stroke.forced
         if weights and not stroke.finite.requires_grad:  # a number saves a pass over the window
@@ -122,13 +122,14 @@ def stroke_light(stroke: Stroke, pixels: PixelMajor) -> Image:
     return _utilisation(_Piece(stroke.window, stroke.hit, stroke.value, 1.0, 0.0, 0.0, in_cd, relative), pixels) * (1 - relative)
 
 
-def by_products(
+def sums_by_products(
     asked: Setpoints | RayBatch, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool, place: Band, batch: tuple[int, ...]
 ) -> Sums:
-    """Sums over a band of pixels (T eq. 7.4.5); default: `[n_p]`. dark: whether it is zero. batch: batch dimensions of the setpoints.
+    """Sums over a band of pixels (T eq. 7.4.5); default: `[n_p]`. dark: whether the default is zero. batch: batch dimensions of the
+    setpoints.
 
-    Images of the texture, by name. weight: finite weights, 1 without a hit. light: weight times utilisation; of_default: the same for
-    shares of the default. missed: 1 without a hit. forced, forced_u, forced_of_default: as the first three, over infinite weights. lit,
+    Images of the texture by name: weight: finite weights, 1 without a hit. light: weight times utilisation; of_default: the same for shares
+    of the default. missed: 1 without a hit. forced, forced_u, forced_of_default: as the first three, over infinite weights. lit,
     lit_of_default: 1 where a setpoint is not zero.
     """
     unit, finite = (asked.finite is None, asked.forced is None) if isinstance(asked, Setpoints) else (asked.unit, asked.finite)
@@ -163,7 +164,7 @@ def by_products(
 
 
 def _contributions(piece: _Piece, pixels: PixelMajor, ruling: bool, wanted: Collection[str]) -> dict[str, Image]:
-    """The piece's contribution to each of the wanted images."""
+    """The contribution of a piece to each of the images by name."""
     absolute = utilisation = _utilisation(piece, pixels)
     of_default: Image = 0.0
     if isinstance(piece.relative, Tensor) or piece.relative:
@@ -242,7 +243,7 @@ def _sums(images: dict[str, Tensor], ruling: bool, pixels: PixelMajor, default: 
     return Sums(light, sums.get("weight"), forced_u, forced_weight, lit, RULED if ruling else None)
 
 
-def by_entries(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, default: Tensor, place: Band) -> Sums:
+def sums_by_entries(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, default: Tensor, place: Band) -> Sums:
     """The sums of T eq. 7.4.5 over the entries of a band of pixels, mapped by T eq. 7.4.1 to 7.4.3. default: `[n_p]`."""
     band = place.pixels
     entries = pixels.entries.band(band.start, band.stop)
@@ -290,7 +291,7 @@ def by_entries(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, def
 
 
 def _blend(a: Tensor, b: Tensor, portion: Tensor | float) -> Tensor:
-    """a where portion is 0, b where it is 1."""
+    """a where portion is 0, b where portion is 1."""
     if isinstance(portion, float):
         return b if portion else a
     return torch.lerp(a, b, portion)

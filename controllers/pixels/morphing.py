@@ -18,9 +18,10 @@ STRAIGHT = MrpcParams(a_d=1.0)  # edge darkening, since otherwise a moved hot sp
 
 @dataclass(frozen=True)
 class Morph:
-    """Eight degrees of freedom: T_headlight_screen `[..., 4, 4]` moves the screen, width and height stretch it about its middle.
+    """Movement of a screen in eight degrees of freedom.
 
-    Identity does not move the beam. Rotations are about the photometric centre, as a module turns in its mount.
+    T_headlight_screen: `[..., 4, 4]`; the identity does not move the beam, and rotations are about the photometric centre. width, height:
+    stretch about the screen's middle.
     """
 
     T_headlight_screen: Tensor
@@ -65,9 +66,7 @@ def screen(texture: Tensor, headlight: Headlight, morph: Morph) -> Primitives:
 
 @dataclass(frozen=True)
 class Morphing:
-    """A beam, utilisation `[n_p]`, that can be moved. params: MRPC parameters of the moved beam, independent of those of other
-    primitives.
-    """
+    """Digital movement of a beam, utilisation `[n_p]`. params: MRPC parameters of the moved beam."""
 
     headlight: Headlight
     beam: Tensor

@@ -10,8 +10,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from luxloop.controllers.pixels.mapping import Band, Sums, by_entries, by_products
-from luxloop.controllers.pixels.pixel_major import MrpcParams, PixelMajor, pixel_major
+from luxloop.controllers.pixels.mapping import Band, Sums, sums_by_entries, sums_by_products
+from luxloop.controllers.pixels.pixel_major import MrpcParams, PixelMajor
 from luxloop.controllers.pixels.primitives import E_V, I_V, U_REL
 from luxloop.controllers.pixels.rthc import RayBatch, Setpoints
 from luxloop.world.errors import LuxloopError
@@ -22,13 +22,14 @@ FAINT = 1e-6  # least share of a setpoint after a correction, so that a lit setp
 
 
 def correct(asked: Setpoints, wanted: Setpoints, u: Tensor, pixels: PixelMajor, default: Tensor) -> Setpoints:
-    """The setpoints of the last pass, plus the error of the resulting light of u `[..., n_p]` against the wanted ones; not from the thesis.
+    """The setpoints of the last pass, plus the error of the light of utilisations u `[..., n_p]` against the wanted setpoints; not from the
+    thesis.
 
-    Van Cittert's deconvolution with MRPC in place of the blur's inverse: the error is of all pixels together, and MRPC again decides pixel
-    by pixel. Dark, lit and missed setpoints stay so. default: `[n_p]`. Costs one product with the matrix.
+    Van Cittert's deconvolution with MRPC in place of the blur's inverse: the error is that of all pixels together, and MRPC again computes
+    pixel by pixel. Dark, lit and missed setpoints stay dark, lit and missed. default: `[n_p]`. Costs one product with the matrix.
     """
     grid, w = pixels.grid, wanted.window
-    band = grid.matrix.band(w.row_start * grid.cols, w.row_stop * grid.cols)
+    band = grid.matrix.band(w.v_start * grid.cols, w.v_stop * grid.cols)
 
     def on_window(texels: Tensor) -> Tensor:
         return texels.unflatten(-1, (-1, grid.cols))[..., w.slices[1]]
@@ -68,16 +69,13 @@ def sharpen(setpoints: Setpoints, pixels: PixelMajor, strength: float, dark: boo
     return replace(setpoints, value=setpoints.value * raised)
 
 
-__all__ = ["MrpcParams", "PixelMajor", "pixel_major", "reduce_setpoints"]
-
-
 def reduce_setpoints(
     asked: Setpoints | RayBatch, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool = False
 ) -> tuple[Tensor, slice]:
     """Map and reduce (T eq. 7.4.1 to 7.4.3, 7.4.5): utilisation `[..., n_p]` in 0..1, and the pixels that may differ from the default.
 
-    asked: setpoints, or rays to cast, which avoids storing their setpoints where possible. default: `[n_p]`; a ray without a hit counts
-    with `I_m,ij u_def,j` and weight 1. dark: whether the default is zero.
+    asked: setpoints, or rays to cast, whose setpoints are then stored only where needed. default: `[n_p]`; a ray without a hit counts with
+    `I_m,ij u_def,j` and weight 1. dark: whether the default is zero.
     """
     batch = tuple(asked.value.shape[:-2] if isinstance(asked, Setpoints) else asked.primitives.value.shape[:-1])
     place = Band.of_window(pixels, asked.window)
@@ -104,9 +102,9 @@ def _map_and_reduce(
     if isinstance(asked, RayBatch) and not alike:
         asked = asked.setpoints()
     if isinstance(asked, Setpoints) and not alike:
-        sums = by_entries(asked, pixels, params, default, place)
+        sums = sums_by_entries(asked, pixels, params, default, place)
     else:
-        sums = by_products(asked, pixels, params, default, dark, place, batch)
+        sums = sums_by_products(asked, pixels, params, default, dark, place, batch)
     changed = _reduce(sums, pixels, params, default[band], dark, band)
     if changed.shape[-1] == len(default):
         return changed
@@ -116,7 +114,7 @@ def _map_and_reduce(
 
 
 def same_for_all_pixels(asked: Setpoints | RayBatch, pixels: PixelMajor, params: MrpcParams, dark: bool) -> bool:
-    """Whether each ray's setpoint is one utilisation for all pixels of its texel (or one share of their default that no bound cuts)."""
+    """Whether each ray's setpoint is one utilisation for all pixels of its texel, or one share of their defaults without clipping."""
     if params.upper_cd is not None or params.lower_cd or (params.a_x and params.exclusion == "printed"):
         return False
     if U_REL in asked.quantities and not dark:
@@ -127,8 +125,8 @@ def same_for_all_pixels(asked: Setpoints | RayBatch, pixels: PixelMajor, params:
 
 
 def _reduce(sums: Sums, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool, band: slice) -> Tensor:
-    """Utilisation `[..., band]` of sums (T eq. 7.4.5). Infinite weights override; without any weight the default stays; then a_ac
-    applies.
+    """Utilisation `[..., band]` from the sums (T eq. 7.4.5). Infinite weights override finite ones; pixels without weight keep the default;
+    then a_ac applies.
     """
     u, idle = sums.weighted_u, None if pixels.idle is None else pixels.idle[band]
     if sums.weight is not None:

@@ -1,7 +1,7 @@
 """Tuning of MapReduce control for one wanted light texture: the best a_m, a_x and a_r (T 8.4, 8.5).
 
-Only pixels that reach a lit setpoint matter, and a trial costs little more than one pass over their entries: a tenth of the time of
-`luxloop.controllers.pixels.mrpc`, which transposes the matrix for each set of parameters. Tests hold the two together.
+A trial is little more than one pass over the entries of pixels that reach a lit setpoint. It takes a tenth of the time of
+`luxloop.controllers.pixels.mrpc`, which transposes the matrix for each set of parameters; tests compare both.
 """
 
 import math
@@ -36,11 +36,11 @@ POPULATION, GENERATIONS, REFINEMENTS = 10, 40, 80  # individuals a parameter, ge
 
 @dataclass(frozen=True)
 class Part:
-    """The part of a headlight that can give a wanted light texture; MRPC and joint optimisation of the MAE light no other pixels.
+    """The pixels of a headlight that reach a wanted light texture, and their part of the texture.
 
-    headlight: those pixels in one row, on the rows and columns of the texture that they reach. wanted: `[rows, cols]` cd there. pixels:
-    `[n]` int64, their indices in the whole headlight. window: slices of rows and columns of its texture. spread: standard deviation in
-    texels of a typical pixel's light in rows and columns, for sharpening.
+    headlight: these pixels as one row, with their part of the texture. wanted: `[rows, cols]` cd on this part. pixels: `[n]` int64, indices
+    in the whole headlight. window: row and column slices of the part in the whole texture. spread: standard deviation in texels of a
+    typical pixel's light in rows and columns, for sharpening.
     """
 
     headlight: Headlight
@@ -84,9 +84,9 @@ def part(headlight: Headlight, wanted: Tensor) -> Part:
 class Trial:
     """Parameters of one MapReduce control.
 
-    a_m: None gives every pixel the whole setpoint (no mapping). a_x: exclusion by a pixel's intensity. shape: rectangle uses all texels
-    with light in the bounding rectangle of those that are not excluded, like controls with simplified pixels (T 3.5.1, 8.5). The others are
-    those of `luxloop.controllers.pixels.pixel_major`.
+    a_m: None gives every pixel the whole setpoint (no mapping). a_x: exclusion by a pixel's intensity. shape: rectangle uses all lit
+    texels in the bounding rectangle of the texels that are not excluded, like controls with simplified pixels (T 3.5.1, 8.5). The other
+    fields: see `luxloop.controllers.pixels.pixel_major.MrpcParams`.
     """
 
     a_m: float | None = 1.0

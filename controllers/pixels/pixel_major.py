@@ -1,18 +1,18 @@
-"""Pixel-major tables of a headlight for MRPC: all that is independent of setpoints (T 7.4)."""
+"""Pixel-major tables of a headlight for MRPC, independent of setpoints (T 7.4)."""
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
-from typing import Literal, Self
+from typing import Literal
 
 import torch
-from pydantic import Field, model_validator
+from pydantic import Field
 from torch import Tensor
 
 from luxloop.controllers.pixels.sampling import Sampling, pixel_spread, rectangular, sample_weights
 from luxloop.world.headlight import Headlight
-from luxloop.world.params import Params, Share
+from luxloop.world.params import Params, Share, in_order
 from luxloop.world.spmv import Csr, row_of_entries, segment_bounds
 
 
@@ -40,18 +40,14 @@ class MrpcParams(Params):
         description="potentiated: by a_m and granularity; direct: the whole setpoint to each pixel; maximal: relative to the strongest",
     )
     shape: Literal["arbitrary", "rectangle"] = Field(
-        "arbitrary", description="pixel shapes as they are, or simplified to the rectangles around their texels above a_x (0.5 if a_x is 0)"
+        "arbitrary", description="pixel shapes: unchanged, or simplified to the rectangles around their texels above a_x (0.5 if a_x is 0)"
     )
     sampling: Sampling = Field("all", description="texels that a pixel samples: all, one, or a supersampling pattern")
     granularity: float = Field(0.0, ge=0, le=4, description="mapping: exponent by which smaller pixels get larger shares")
     sharpening: float = Field(0.0, ge=0, le=4, description="strength by which setpoints beside dark ones are raised to compensate blur")
     corrections: int = Field(0, ge=0, le=10, description="number of corrections of the setpoints by the error of the resulting light")
 
-    @model_validator(mode="after")
-    def _bounds_are_in_order(self) -> Self:
-        if self.upper_cd is not None and self.upper_cd < self.lower_cd:
-            raise ValueError(f"upper_cd: {self.upper_cd:g} is below lower_cd, {self.lower_cd:g}; exchange them")
-        return self
+    _bounds_in_order = in_order("lower_cd", "upper_cd", strict=False)
 
 
 LEAST = 1e-16  # of a pixel's greatest I_m^a_r: least weight that sums can resolve, since a mask must act on any light
@@ -93,7 +89,7 @@ class PixelMajor:
 
 
 def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
-    """The tables of a headlight for these parameters: the weights of T eq. 7.4.5 with the exclusion of T eq. 7.4.3."""
+    """The tables of a headlight for parameters of MRPC: the weights of T eq. 7.4.5 with the exclusion of T eq. 7.4.3."""
     entries = headlight.matrix.transpose
     if params.shape == "rectangle":
         entries = rectangular(entries, headlight, params.a_x or 0.5)
@@ -128,7 +124,7 @@ def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
         entries,
         full,
         kept,
-        full if bool((kept == full.values).all()) else _only(entries, kept),
+        full if bool((kept == full.values).all()) else Csr.from_scipy(entries.with_values(kept).to_scipy(), kept.dtype).to(kept.device),
         share,
         potential,
         total,
@@ -162,13 +158,3 @@ def _mapping(
         relative = (I_m / of_texels(I_m, "amax")[entries.indices.long()]) ** (params.a_m - 1)
         sum_of_potentials, potential = of_texels(I_m * relative * fine, "sum"), relative * fine
     return torch.where(sum_of_potentials > 0, 1 / sum_of_potentials, 0.0), potential
-
-
-def _only(entries: Csr, values: Tensor) -> Csr:
-    """The matrix with new values `[nnz]`, without its zeros."""
-    keep = values != 0
-    counts = torch.zeros(entries.n_rows, dtype=torch.int64, device=values.device).index_add(
-        0, row_of_entries(entries)[keep], keep[keep].long()
-    )
-    indptr = torch.cat([counts.new_zeros(1), counts.cumsum(0)]).to(entries.indptr.dtype)
-    return replace(entries, indptr=indptr, indices=entries.indices[keep], values=values[keep])

@@ -1,7 +1,7 @@
 """Primitives: rectangles in the world that carry a symbol image and a setpoint (T 7.1, 7.2.1)."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
 
@@ -27,30 +27,29 @@ _ON_HOST = ("quantity", "forced", "priority", "nearest", "shared")
 class Observer:
     """Observers to whom symbols appear undistorted (T 7.2.2): eyes and the rectangles of upright symbols in m, `[..., P, 3]` each.
 
-    active: `[P]` bool, which primitives have an observer.
+    active: `[P]` bool, which primitives have an observer; by default the only one.
     """
 
     eye: Tensor
     origin: Tensor
     d1: Tensor
     d2: Tensor
-    active: Tensor
+    active: Tensor = field(default_factory=lambda: torch.tensor([True]))
 
 
 @dataclass(frozen=True)
 class Primitives:
-    """P rectangles per scene, batch dimensions first. Fields without batch dimensions stay on the host, since they choose the path of a
-    step.
+    """P rectangles per scene, batch dimensions first. Fields without batch dimensions stay on the host, since program flow depends on them.
 
     origin: `[..., P, 3]` m in the world, the corner where symbol coordinates are (0, 0). d1: `[..., P, 3]` m, the edge along symbol u. d2:
     `[..., P, 3]` m, the edge along symbol v. normal: `[..., P, 3]`, unit, of the side that takes light. value: `[..., P]`, setpoint at
     symbol value 1 in cd, lx or as a share. weight: `[..., P]`, 0 to infinity: 0 occludes without counting, infinity overrides all finite
-    ones, and finite ones are limited to HEAVIEST. quantity: `[P]` int64, indices in QUANTITIES. forced: `[P]` bool, hit even behind other
+    ones, and finite ones are limited to HEAVIEST. quantity: `[P]` int64, indices in QUANTITIES. forced: `[P]` bool, drawn even behind other
     primitives. priority: `[P]` int64, decides between forced hits and between coplanar ones. symbols: images `[h, w]` in 0..1, row 0 at v =
     0, or `[2, h, w]` with opacity; rays pass where it is below 1/2, except in masks. symbol_of: `[P]` int64, indices of images. nearest:
     `[P]` bool, sample images at the nearest texel instead of bilinearly. modules: names of the modules or lamps that may draw each; empty:
-    all. shared: `[P]` bool, the drawing modules share a setpoint in cd or lx instead of each giving the whole. observer: the observers of
-    the primitives, None if none has one.
+    all. shared: `[P]` bool, the drawing modules share a setpoint in cd or lx instead of each giving the whole. observer: observers of the
+    primitives, None without any.
     """
 
     origin: Tensor
@@ -102,7 +101,7 @@ class Primitives:
 
     def for_module(self, name: str) -> "Primitives":
         """The primitives that a module may draw; "left lores" matches its name, "left" and "lores"."""
-        may = [meant(names, name) for names in self.modules]
+        may = [names_module(names, name) for names in self.modules]
         return self if all(may) else self.select(torch.tensor(may))
 
     def transform(self, T: Tensor) -> "Primitives":
@@ -119,7 +118,7 @@ class Primitives:
 
 
 def _change(of: Any, change: Callable[[Tensor], Tensor], *names: str) -> Any:
-    """Apply a function to some tensors."""
+    """A copy with a function applied to the tensors of some names."""
     return replace(of, **{name: change(getattr(of, name)) for name in names})
 
 
@@ -244,6 +243,6 @@ def road_symbol(pose: Tensor, z_m: float, width_m: float, length_m: float, symbo
     return rectangle(centre - (d1 + d2) / 2, d1, d2, value, quantity, normal=up, symbol=symbol)
 
 
-def meant(names: Sequence[str], module: str) -> bool:
+def names_module(names: Sequence[str], module: str) -> bool:
     """Whether a module is among names; "left lores" matches its name, "left", "lores" and an empty list of names."""
     return not names or any(f" {each} " in f" {module} " for each in names)

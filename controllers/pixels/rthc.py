@@ -1,12 +1,12 @@
 """Ray tracing headlight control (RTHC, T 7.3): from primitives to a setpoint for every ray of a light texture.
 
-Primitives are painted in order, each over the rays that it wins from earlier ones. On the CPU, comparisons and selections cost ten times as
-much as sums, so hits are images of zeros and ones, and painting is blending.
+Primitives are painted in order, each over the rays for which it hides the earlier primitives. On the CPU, comparisons and selections cost
+ten times as much as sums, so hits are images of zeros and ones, and painting is blending.
 """
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
 
@@ -17,14 +17,13 @@ from torch.nn.functional import grid_sample
 from luxloop.controllers.pixels.homographies import Homographies, homographies
 from luxloop.controllers.pixels.primitives import E_V, HEAVIEST, U_ABS, U_REL, Primitives
 from luxloop.controllers.pixels.secondary import SecondaryRays
-from luxloop.controllers.pixels.windows import NOWHERE, SLACK, Window, row_bands, union, whole
+from luxloop.controllers.pixels.windows import SLACK, union, whole
 from luxloop.world.caches import keeping
 from luxloop.world.errors import LuxloopError
-from luxloop.world.texels import TexelGrid
+from luxloop.world.texels import NOWHERE, TexelGrid, Window
 
 PARALLEL = 1e-6  # tolerance of the cosine between a given normal and that of the edges
 GRAZING = 1e-12  # least d.n for sampling a symbol, m^2: every hit has more, and samples of other rays stay finite
-LARGE, WORTH = 2**15, 0.75  # texels of a window that may be cast in parts, and most of them that these may hold together
 OPAQUE = 0.5  # least opacity that stops a ray
 
 
@@ -49,12 +48,12 @@ class Setpoints:
     relative: Tensor | None = None
 
     def portion(self, image: Tensor | None, *codes: int) -> Tensor | float:
-        """1 where a ray has one of these quantities, from image `in_cd` or `relative`; a number if all rays have the same quantity."""
+        """1 where the setpoint has one of the quantities, by image `in_cd` or `relative`; a number if all rays have one quantity."""
         return float(self.quantities[0] in codes) if image is None else image
 
     @property
     def shares(self) -> Tensor:
-        """Setpoints of u_rel, zero for rays of other quantities."""
+        """Setpoints of u_rel; 0 for rays of other quantities."""
         return self.value * self.portion(self.relative, U_REL)
 
     @property
@@ -78,9 +77,10 @@ class Setpoints:
 
 
 def paint_classes(primitives: Primitives) -> list[list[int]]:
-    """Indices of primitives in painting order, in classes; each class overrides the earlier ones at any distance.
+    """Indices of primitives in painting order, in classes; each class overrides the earlier classes at any distance.
 
-    Forced hits come last, by priority. Within a class the nearest wins; coplanar ones are ordered by priority, then by index.
+    Forced primitives come last, by priority. Within a class the nearest primitive is visible; coplanar ones are ordered by priority, then
+    by index.
     """
     keys = [(forced, priority) for forced, priority in zip(primitives.forced.tolist(), primitives.priority.tolist(), strict=True)]
     order = sorted(range(len(keys)), key=keys.__getitem__)
@@ -88,7 +88,7 @@ def paint_classes(primitives: Primitives) -> list[list[int]]:
 
 
 def masks(primitives: Primitives) -> list[bool]:
-    """Which primitives of a single scene are masks: zero setpoint of infinite weight."""
+    """Which primitives of a single scene are masks: setpoint zero with infinite weight."""
     return [value == 0 and weight == math.inf for value, weight in zip(primitives.value.tolist(), primitives.weight.tolist(), strict=True)]
 
 
@@ -112,8 +112,9 @@ def trace(
 
 @dataclass(frozen=True)
 class Stroke:
-    """One primitive over its window. hit: `[..., rows, cols]`, 1 for rays that it wins, else 0. value: setpoint of these rays, finite
-    elsewhere, broadcastable. finite: its weight `[..., 1, 1]`, 0 if infinite. forced: `[..., 1, 1]`, 1 if the weight is infinite, else 0.
+    """One primitive over its window. hit: `[..., rows, cols]`, 1 for rays that end on the primitive, else 0. value: setpoint of these rays,
+    finite elsewhere, broadcastable. finite: its weight `[..., 1, 1]`, 0 if infinite. forced: `[..., 1, 1]`, 1 if the weight is infinite,
+    else 0.
     """
 
     window: Window
@@ -134,13 +135,13 @@ class _Product:
 
     def on(self, p: int, w: Window) -> Tensor:
         """Products with the p-th primitive's vectors on a window: `[..., rows, cols]`, for pairs of vectors `[..., 2, rows, cols]`."""
-        rows = self.rows[p].narrow(-1, w.row_start, w.row_stop - w.row_start)
-        return rows.unsqueeze(-1) + self.cols[p].narrow(-1, w.col_start, w.col_stop - w.col_start).unsqueeze(-2)
+        rows = self.rows[p].narrow(-1, w.v_start, w.v_stop - w.v_start)
+        return rows.unsqueeze(-1) + self.cols[p].narrow(-1, w.u_start, w.u_stop - w.u_start).unsqueeze(-2)
 
 
 @dataclass(frozen=True)
 class RayBatch:
-    """Rays to cast. windows: of each primitive, empty if it is not visible. window: their union.
+    """Rays to cast. windows: of each primitive, empty for invisible ones. window: union of the windows.
 
     is_mask, front: for each primitive, whether it is a mask and whether the lamp sees its front, None if unknown on the host. unit, finite:
     whether all finite weights are 1, and whether no weight is infinite; false if unknown on the host.
@@ -167,13 +168,13 @@ class RayBatch:
         windows: Sequence[Window] | None = None,
         secondary: SecondaryRays | None = None,
     ) -> "RayBatch":
-        """Prepare the rays; arguments and errors as for `trace`."""
+        """Compute homographies and windows; arguments and errors as for `trace`."""
         known = primitives.value.device.type == "cpu"
         if known and not math.isfinite(primitives.value.sum().item()):
             raise LuxloopError("a primitive's value is infinite or not a number; give a finite one in cd or lx, or as a share")
         seen = homographies(primitives, grid, T_world_headlight)
         nobody: list[bool | None] = [None] * len(primitives)
-        front, is_mask = (nobody, nobody) if windows is None else (_from_the_front(seen), [*masks(primitives)])
+        front, is_mask = (nobody, nobody) if windows is None else (_front_faces(seen), [*masks(primitives)])
         windows = [whole(grid)] * len(primitives) if windows is None else windows
         windows = [NOWHERE if seen_from is False else window for window, seen_from in zip(windows, front, strict=True)]
         weights = set(primitives.weight.flatten().tolist()) if known else {math.nan}
@@ -183,7 +184,7 @@ class RayBatch:
 
     @property
     def quantities(self) -> tuple[int, ...]:
-        """Codes of quantities that may occur, at least one."""
+        """Codes of the quantities of all primitives, at least one."""
         return tuple(sorted(set(self.primitives.quantity.tolist()))) or (U_ABS,)
 
     @property
@@ -200,20 +201,10 @@ class RayBatch:
     def blank(self, filled: float = 0.0) -> Tensor:
         """A constant image on the window, `[..., rows, cols]`."""
         w, origin = self.window, self.primitives.origin
-        return origin.new_full((*origin.shape[:-2], max(w.row_stop - w.row_start, 0), max(w.col_stop - w.col_start, 0)), filled)
+        return origin.new_full((*origin.shape[:-2], max(w.v_stop - w.v_start, 0), max(w.u_stop - w.u_start, 0)), filled)
 
-    def _parts(self, p: int) -> list[Window]:
-        """The window of the p-th primitive, divided into parts if these spare enough rays."""
-        window, batched = self.windows[p], self.primitives.origin.ndim > 2
-        if batched or self.is_mask[p] is not False or window.texels < LARGE:
-            return [window]
-        only = slice(p, p + 1)
-        one = replace(self.primitives, origin=self.primitives.origin[only], d1=self.primitives.d1[only], d2=self.primitives.d2[only])
-        (parts,) = row_bands(one, self.grid, self.T_world_headlight, [window])
-        return parts if sum(part.texels for part in parts) < WORTH * window.texels else [window]
-
-    def strokes(self, in_parts: bool = False) -> Iterator[Stroke]:
-        """Strokes in painting order. in_parts: a large primitive may be several strokes, which together contain all rays that hit it."""
+    def strokes(self) -> Iterator[Stroke]:
+        """The strokes of all visible primitives, in painting order."""
         weight, windows = self.primitives.weight[..., None, None], self.windows  # [..., P, 1, 1]
         finite, forced = weight, torch.zeros_like(weight)
         if not (self.unit and self.finite):
@@ -229,19 +220,18 @@ class RayBatch:
                     for p in painted:
                         nearest[(..., *windows[p].within(self.window))].zero_()
             for p in painted:
-                if windows[p].empty:
+                window = windows[p]
+                if window.empty:
                     continue
-                for window in self._parts(p) if in_parts else [windows[p]]:
-                    hit, read = self._hit(p, window), self._read(p, window)
-                    if not self.is_mask[p] and len(read) == 2:
-                        hit = hit * torch.maximum(_step(read[1].detach() - OPAQUE), self.seen.mask[..., p, None, None].to(hit))
-                    if rivals[p] and nearest is not None:
-                        hit = self._won(p, window, hit, nearest[(..., *window.within(self.window))])
-                    value = self._setpoint(p, window, hit, read[0])
-                    if self.secondary is not None and not self.is_mask[p] and self.secondary.ask(self.primitives, p):
-                        points = self._points(p, window)
-                        value = self.secondary.adjust(expand(value, hit), points, hit > 0, self.primitives, p)
-                    yield Stroke(window, hit, value, finite[..., p, :, :], forced[..., p, :, :], int(self.primitives.quantity[p]), p)
+                hit, read = self._hit(p, window), self._read(p, window)
+                if not self.is_mask[p] and len(read) == 2:
+                    hit = hit * torch.maximum(_step(read[1].detach() - OPAQUE), self.seen.mask[..., p, None, None].to(hit))
+                if rivals[p] and nearest is not None:
+                    hit = self._visible_part(p, window, hit, nearest[(..., *window.within(self.window))])
+                value = self._setpoint(p, window, hit, read[0])
+                if self.secondary is not None and not self.is_mask[p] and self.secondary.ask(self.primitives, p):
+                    value = self.secondary.adjust(expand(value, hit), self._points(p, window), hit > 0, self.primitives, p)
+                yield Stroke(window, hit, value, finite[..., p, :, :], forced[..., p, :, :], int(self.primitives.quantity[p]), p)
 
     def setpoints(self) -> Setpoints:
         """The setpoints after all strokes."""
@@ -278,12 +268,12 @@ class RayBatch:
 
     @cached_property
     def _uv(self) -> _Product:
-        """uv, shifted by `aside` for masks, whose images are not sampled."""
+        """uv; for masks, whose images are not sampled, shifted by `aside`."""
         return self._times(self.seen.uv, self.seen.margin[0] if any(mask is not False for mask in self.is_mask) else None)
 
     @cached_property
     def _at(self) -> Callable[[int, Window], tuple[Tensor, Tensor]]:
-        """n and uv on a window, for one primitive after the other: `[..., rows, cols]`, `[..., 2, rows, cols]`."""
+        """n `[..., rows, cols]` and uv `[..., 2, rows, cols]` of a primitive on a window; cached for the last primitive."""
         return keeping(1, self._on)
 
     def _on(self, p: int, window: Window) -> tuple[Tensor, Tensor]:
@@ -291,7 +281,7 @@ class RayBatch:
 
     @cached_property
     def _sight(self) -> tuple[_Product, _Product] | None:
-        """As n and uv, for the flying symbols of observers."""
+        """n and uv of the flying symbols of observers."""
         return None if self.seen.sight is None else (self._times(self.seen.sight[0]), self._times(self.seen.sight[1]))
 
     @cached_property
@@ -325,8 +315,8 @@ class RayBatch:
         low, high = seen.outline
         return hit * torch.where(wide, _near_outline(window, low[..., p, :], high[..., p, :]), 1.0)
 
-    def _won(self, p: int, window: Window, hit: Tensor, nearest: Tensor) -> Tensor:
-        """The part of a hit without a nearer one of its class. nearest: lower bound of the class's 1/x, updated in place."""
+    def _visible_part(self, p: int, window: Window, hit: Tensor, nearest: Tensor) -> Tensor:
+        """The part of a hit that no nearer primitive of the class hides. nearest: lower bound of the class's 1/x, updated in place."""
         closeness = self._closeness.on(p, window).detach()  # 1/x, [..., rows, cols]
         if self.is_mask[p] is not False:  # a mask's hit beyond its outline is limited to the distances of its corners
             closeness = self._between_corners(p, closeness)
@@ -350,10 +340,11 @@ class RayBatch:
         return position + x[..., None, :, :] * ray  # p = o + x d (T eq. 3.1.1), [..., 3, rows, cols]
 
     def _setpoint(self, p: int, window: Window, hit: Tensor, read: Tensor) -> Tensor:
-        """Setpoint of the p-th primitive for rays that hit it, elsewhere arbitrary but finite; broadcastable to `[..., rows, cols]`.
+        """Setpoint of the p-th primitive for rays that hit the primitive, elsewhere arbitrary but finite; broadcastable to `[..., rows,
+        cols]`.
 
-        read: samples of its symbol, as `_read`. An illuminance becomes the intensity `E d^2 / cos` (T eq. 7.2.1); the hit lies x = qn / d.n
-        ahead, at the distance x |ray|.
+        read: samples of the symbol, from `_read`. An illuminance becomes the intensity `E d^2 / cos` (T eq. 7.2.1); the hit lies x = qn /
+        d.n ahead, at the distance x |ray|.
         """
         value = self.primitives.value[..., p, None, None]
         if self.primitives.has_observer(p) and self._sight is not None:
@@ -370,10 +361,10 @@ class RayBatch:
         )  # E (qn / d.n)^2 |ray|^3 / facing
 
     def _read(self, p: int, window: Window) -> tuple[Tensor, ...]:
-        """Samples `[..., rows, cols]` of the p-th primitive's symbol, and of its opacity if it has one, on it or its observer's flying
-        symbol.
+        """Samples `[..., rows, cols]` of the p-th primitive's symbol, and of the opacity if the symbol has one, on the primitive or on the
+        observer's flying symbol.
 
-        For a homogeneous symbol without opacity: its one pixel `[1, 1]`.
+        For a homogeneous symbol without opacity: the one pixel `[1, 1]`.
         """
         image, watching = self.primitives.image_of(p), self._sight if self.primitives.has_observer(p) else None
         if image.numel() == 1 and not self.primitives.has_observer(p):
@@ -388,9 +379,9 @@ def expand(new: Tensor | float, hit: Tensor) -> Tensor:
     return (new if isinstance(new, Tensor) else hit.new_full((), new)).expand_as(hit)
 
 
-def _from_the_front(seen: Homographies) -> list[bool | None]:
-    """Whether the lamp sees the front of each primitive of a single scene; None if it differs by ray. It may differ if the normal is not
-    that of the edges. For masks the centre decides.
+def _front_faces(seen: Homographies) -> list[bool | None]:
+    """Whether the lamp sees the front of each primitive of a single scene; None if the side differs by ray, as it may for normals that are
+    not perpendicular to the edges. For masks the centre decides.
     """
     cosine = (seen.normal * seen.n).sum(-1).abs() / seen.n.norm(dim=-1)  # [..., P]
     decided = seen.mask | (cosine > 1 - PARALLEL)
@@ -412,7 +403,7 @@ def _inside(n: Tensor, uv: Tensor, wider: Tensor | None = None) -> Tensor:
 def _near_outline(window: Window, low: Tensor, high: Tensor) -> Tensor:
     """1 for texels at most one beyond the rectangle around an outline; at acute corners, widening alone would reach farther."""
     within = []
-    for axis, (start, stop) in enumerate(((window.row_start, window.row_stop), (window.col_start, window.col_stop))):
+    for axis, (start, stop) in enumerate(((window.v_start, window.v_stop), (window.u_start, window.u_stop))):
         centre = torch.arange(start, stop, dtype=low.dtype, device=low.device) + 0.5
         within.append((centre >= low[..., axis, None] - 1 - SLACK) & (centre <= high[..., axis, None] + 1 + SLACK))
     return (within[0][..., :, None] & within[1][..., None, :]).to(low)

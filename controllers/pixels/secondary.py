@@ -1,4 +1,4 @@
-"""Secondary rays (T 7.5.1), from the point that a ray hits to observers, lamps and street lamps.
+"""Secondary rays (T 7.5.1), from the hit point of a ray to observers, lamps and street lamps.
 
 All functions are pure and take points `[..., 3, N]` in m in the world frame.
 """
@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from luxloop.controllers.pixels.primitives import U_ABS, Primitives, meant
+from luxloop.controllers.pixels.primitives import U_ABS, Primitives, names_module
 from luxloop.world.frames import inverse, transform
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import ModuleCommand
@@ -23,13 +23,13 @@ from luxloop.world.texels import TexelGrid
 Caster = Callable[[Tensor, Tensor], Tensor]  # (points [3, N], target [3]) -> [N] bool: whether the target is occluded
 
 DARKEST = 1e-3  # least dimming share that is compensated: setpoints rise at most 1000-fold
-BIAS_M = 0.02  # surfaces closer to a point count as its own
+BIAS_M = 0.02  # distance within which a surface does not occlude a point
 
 
 def scene_caster(triangles: Triangles, T_world_points: Tensor | None = None) -> Caster:
     """A caster of shadow rays through a scene's triangles. T_world_points: `[4, 4]`, pose of the frame of the points, by default the world.
 
-    The road casts no shadow, as primitives lie only near it: one 1 cm below the road would be occluded everywhere.
+    The road casts no shadow, since a primitive 1 cm below the road would be occluded everywhere.
     """
     casting = Triangles(tuple(group for group in triangles.groups if group.placed[0].object_id != 0))
 
@@ -87,18 +87,18 @@ class PotentialLight:
 def shares(lights: Sequence[PotentialLight], points: Tensor, occluded: Caster | None = None, asked: Tensor | None = None) -> Tensor:
     """Share of a setpoint for each light, `[L, ..., N]`, in proportion to its potential illuminance there (T 7.5.1).
 
-    The shares add up to 1 wherever any light reaches, so light is not doubled; an occluded light takes none, and the others compensate.
-    Lights of two cars that draw one symbol go into one list. asked: `[..., N]` bool, points for which shadow rays are cast, by default all.
+    The shares add up to 1 wherever any light reaches, so light is not doubled; an occluded light has the share 0. Lights of two cars that
+    draw one symbol go into one list. asked: `[..., N]` bool, points for which shadow rays are cast, by default all.
     """
     possible = torch.stack([light.possible(points) for light in lights])
     if occluded is not None:
-        possible = possible * torch.stack([seen_by(points, light.T_world_headlight[:3, 3], occluded, asked) for light in lights])
+        possible = possible * torch.stack([visible_from(points, light.T_world_headlight[:3, 3], occluded, asked) for light in lights])
     total = possible.sum(0)
     return torch.where(total > 0, possible / torch.where(total > 0, total, 1.0), 0.0)
 
 
-def seen_by(points: Tensor, eye: Tensor, occluded: Caster, asked: Tensor | None = None) -> Tensor:
-    """Whether an observer at `[..., 3]` m sees points, `[..., N]` bool; a symbol need not be drawn at others (T 7.5.1).
+def visible_from(points: Tensor, eye: Tensor, occluded: Caster, asked: Tensor | None = None) -> Tensor:
+    """Whether an observer at `[..., 3]` m sees points, `[..., N]` bool (T 7.5.1).
 
     asked: `[..., N]` bool, points for which rays are cast, by default all; the others count as seen.
     """
@@ -115,7 +115,7 @@ def street_light(
 ) -> Tensor:
     """Illuminance `[..., N]` in lx by street lamps (T 7.5.1, eq. 2.1.5).
 
-    normals: unit, broadcastable to `[..., 3, N]`. asked: as for `seen_by`.
+    normals: unit, broadcastable to `[..., 3, N]`. asked: as for `visible_from`.
     """
     total = torch.zeros_like(points[..., 0, :])
     for lamp in lamps:
@@ -123,14 +123,14 @@ def street_light(
         away = position[:, None] - points
         d2 = away.square().sum(-2)
         light = lamp.intensity_cd * (normals * away).sum(-2).clamp(min=0) / d2**1.5
-        total = total + (light if occluded is None else light * seen_by(points, position, occluded, asked))
+        total = total + (light if occluded is None else light * visible_from(points, position, occluded, asked))
     return total
 
 
-def less_street_light(setpoint_cd: Tensor, street_lx: Tensor, points: Tensor, normals: Tensor, position: Tensor) -> Tensor:
+def subtract_street_light(setpoint_cd: Tensor, street_lx: Tensor, points: Tensor, normals: Tensor, position: Tensor) -> Tensor:
     """Setpoints `[..., N]` in cd minus the light of street lamps (T 7.5.1), at least zero.
 
-    position: `[3]` m, the lamp whose intensities they are; normals: unit, broadcastable to `[..., 3, N]`.
+    position: `[3]` m, of the lamp that gets the setpoints; normals: unit, broadcastable to `[..., 3, N]`.
     """
     away = position.to(points)[:, None] - points
     d2 = away.square().sum(-2)
@@ -153,7 +153,7 @@ class SecondaryRays:
     occluded: Caster | None = None
 
     def ask(self, primitives: Primitives, p: int) -> bool:
-        """Whether secondary rays may change the p-th primitive's setpoint; utilisations change for observers only."""
+        """Whether secondary rays may change the setpoint of the p-th primitive."""
         in_light = int(primitives.quantity[p]) < U_ABS
         shared = bool(primitives.shared[p]) and len(self.lights) > 1
         dimmed = self.lights[self.own][1].intensity < 1
@@ -161,7 +161,7 @@ class SecondaryRays:
         return hidden or (in_light and (shared or dimmed or bool(self.street_lamps) or self.occluded is not None))
 
     def adjust(self, value: Tensor, points: Tensor, hit: Tensor, primitives: Primitives, p: int) -> Tensor:
-        """Adjusted setpoints `[..., rows, cols]` of the p-th primitive at its points `[..., 3, rows, cols]` m, valid where hit.
+        """Adjusted setpoints `[..., rows, cols]` of the p-th primitive at hit points `[..., 3, rows, cols]` m, valid where hit.
 
         Setpoints in cd and lx lose the light of street lamps, are shared among the lights that may draw, and are raised for a dimmed
         module. Points that the primitive's observer cannot see are off.
@@ -171,11 +171,11 @@ class SecondaryRays:
             names, normals = primitives.modules[p], primitives.normal[..., p, :, None]
             if self.street_lamps:
                 street = street_light(points, normals, self.street_lamps, self.occluded, hit)
-                value = less_street_light(value, street, points, normals, self.lights[self.own][1].T_world_headlight[:3, 3])
+                value = subtract_street_light(value, street, points, normals, self.lights[self.own][1].T_world_headlight[:3, 3])
             others = bool(primitives.shared[p])
-            drawing = [k for k, (name, _) in enumerate(self.lights) if k == self.own or (others and meant(names, name))]
+            drawing = [k for k, (name, _) in enumerate(self.lights) if k == self.own or (others and names_module(names, name))]
             value = value * shares([self.lights[k][1] for k in drawing], points, self.occluded, hit)[drawing.index(self.own)]
             value = value / max(self.lights[self.own][1].intensity, DARKEST)
         if self.occluded is not None and primitives.observer is not None and primitives.has_observer(p):
-            value = value * seen_by(points, primitives.observer.eye[..., p, :], self.occluded, hit)
+            value = value * visible_from(points, primitives.observer.eye[..., p, :], self.occluded, hit)
         return value.unflatten(-1, size)

@@ -11,13 +11,15 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.pixels.mapping import Band, stroke_light
-from luxloop.controllers.pixels.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints, same_for_all_pixels
+from luxloop.controllers.pixels.mrpc import reduce_setpoints, same_for_all_pixels
+from luxloop.controllers.pixels.pixel_major import MrpcParams, PixelMajor, pixel_major
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.rthc import RayBatch, Setpoints, masks
 from luxloop.controllers.pixels.secondary import SecondaryRays
-from luxloop.controllers.pixels.windows import Window, projected_windows
+from luxloop.controllers.pixels.windows import projected_windows
 from luxloop.world.headlight import Headlight
 from luxloop.world.spmv import Csr, multiply, numbers, row_of_entries
+from luxloop.world.texels import Window
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class PixelController(Protocol):
         ...
 
     def over(self, default: Tensor) -> Self:
-        """The same controller over another base pattern `[n_p]`."""
+        """The controller over another base pattern `[n_p]`."""
         ...
 
 
@@ -95,21 +97,22 @@ class Ssc:
         return reduce_setpoints(asked, self.pixels, self.params, self.default, self.dark)
 
     def over(self, default: Tensor) -> "Ssc":
-        """The same tables over another base pattern `[n_p]`: a morphed one, for the second pass."""
+        """The controller over another base pattern `[n_p]`, such as a morphed beam, with the same tables."""
         default = default.to(self.default)
         return self if default is self.default else replace(self, default=default)
 
 
 def _on_host(primitives: Primitives) -> bool:
-    """Whether it is a single scene on the host, whose windows need no synchronisation with a device."""
+    """Whether the primitives are a single scene on the host, whose windows need no synchronisation with a device."""
     return primitives.origin.ndim == 2 and primitives.origin.device.type == "cpu"
 
 
 @dataclass(frozen=True, eq=False)
 class WindowedSsc:
-    """Utilisations of the pixels that light a window of the light texture, from primitives within that window.
+    """SSC of the pixels that light a window of the light texture, for primitives within the window.
 
-    pixels: `[m]` int64, ascending. weight: `[m, rows * cols]`, their part of the pixel-major matrix. window: of rows x cols texels.
+    pixels: `[m]` int64, ascending. weight: `[m, rows * cols]`, part of the pixel-major matrix for these pixels and the texels of the
+    window.
     """
 
     ssc: Ssc
@@ -125,8 +128,7 @@ class WindowedSsc:
         texel = torch.arange(grid.rows * grid.cols, device=matrix.indices.device).view(grid.rows, grid.cols)[window.slices].flatten()
         number = numbers(texel, grid.rows * grid.cols)
         lit = torch.unique_consecutive(row_of_entries(matrix)[number[matrix.indices] >= 0])
-        weight = matrix.part(numbers(lit, matrix.n_rows), number, (len(lit), len(texel)))
-        return cls(ssc, window, band.start + lit, weight)
+        return cls(ssc, window, band.start + lit, matrix.part(lit, texel))
 
     def utilisation(self, casting: RayBatch) -> Tensor:
         """Utilisation `[m]` of the pixels, as `Ssc.utilisation` gives them."""
@@ -137,9 +139,9 @@ class WindowedSsc:
         return multiply(self.weight, image.flatten()).clamp(0, 1)
 
 
-def serves(controller: PixelController, primitives: Primitives, T_world_headlight: Tensor) -> bool:
-    """Whether a window's products suffice: one primitive, one utilisation for all pixels of a texel, dark pixels beside it, and neither
-    weights nor counts of lit setpoints.
+def window_suffices(controller: PixelController, primitives: Primitives, T_world_headlight: Tensor) -> bool:
+    """Whether `WindowedSsc` gives the utilisations of `Ssc`: for one primitive, with one utilisation for all pixels of a texel, a dark base
+    pattern, unit weights, and neither sharpening, corrections nor an activation threshold.
     """
     if not isinstance(controller, Ssc) or not controller.dark or len(primitives) != 1:
         return False

@@ -1,4 +1,4 @@
-"""Placement of the symbol on the road: its bird's-eye view, registered to that of a flat road."""
+"""Registration of the symbol's bird's-eye view to its bird's-eye view on a flat road."""
 
 from dataclasses import dataclass
 from typing import Literal, Self
@@ -12,11 +12,10 @@ from torch.nn.functional import interpolate
 
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
 from luxloop.perception.birdseye import BirdsEye, Region, birds_eye, rectify
-from luxloop.perception.extraction import Crop
-from luxloop.world.texels import resample
+from luxloop.world.texels import Window, resample
 
 CELL_M = 0.04
-BEYOND = (0.5, 0.4)  # of the symbol's length and width, on every side
+BEYOND = (0.5, 0.4)  # margin of the view on every side, in lengths and widths of the symbol
 BLURS = (31, 11, 5)  # cells of blur before registration, coarse to fine
 NODES = (17, 9)  # of the height mesh, along and across
 SIGMA = 0.2  # standard deviation of the symbol image in registration
@@ -29,9 +28,9 @@ Kind = Literal["homography", "mesh", "homography+mesh"]
 
 @dataclass(frozen=True)
 class Placement:
-    """Map of the symbol's points (u right, v down, -1 to 1) to their places on the road, in the same coordinates.
+    """Map of symbol coordinates (u right, v down, -1 to 1 over the symbol) to coordinates of their image on the road.
 
-    homography: `[3, 3]`. heights: `[rows, cols]` m of a mesh over the whole view. per_m: `[2, h, w]`, displacement of a point for 1 m of
+    homography: `[3, 3]`. heights: `[rows, cols]` m of a mesh over the whole view. per_m: `[2, h, w]`, displacement of points by 1 m of
     height. extent: u and v at the view's border.
     """
 
@@ -41,7 +40,7 @@ class Placement:
     extent: tuple[float, float]
 
     def of(self, points: Tensor) -> Tensor:
-        """Points `[2, h, w]` moved."""
+        """Images `[2, h, w]` of points `[2, h, w]`."""
         from kornia.geometry.linalg import transform_points
 
         moved = transform_points(self.homography[None], points.flatten(1).T[None])[0].T.view_as(points)
@@ -56,9 +55,10 @@ class Placement:
 
 @dataclass(frozen=True)
 class Alignment:
-    """The bird's-eye view, and the target `[rows, cols]` in it. points: `[2, rows, cols]`, its cells in the symbol's coordinates.
+    """Registration to the target image `[rows, cols]` of a bird's-eye view.
 
-    still: the identity. basis: `[n, rows * cols]`, the mesh's nodes, bilinear, at the cells.
+    points: `[2, rows, cols]`, symbol coordinates of the view's cells. still: the identity placement. basis: `[n, rows * cols]`, bilinear
+    basis functions of the mesh's nodes at the cells.
     """
 
     plane: BirdsEye
@@ -75,7 +75,7 @@ class Alignment:
         half = [size * (0.5 + beyond) for size, beyond in zip((p.length_m, p.width_m), BEYOND, strict=True)]
         region = Region(max(p.x_m - half[0], 1.0), p.x_m + half[0], p.y_m + half[1], p.y_m - half[1], CELL_M)
         plane = birds_eye(region, eye.view).to(device)
-        crop = Crop(0, eye.view.height, 0, eye.view.width)
+        crop = Window(0, eye.view.height, 0, eye.view.width)
         target = rectify(plane, sensor.model.symbol(projector.light(projector.target), crop))
         y, x = (-plane.axes.u.to(target)).expand_as(target), (-plane.axes.v.to(target))[:, None].expand_as(target)
         points = torch.stack([(p.y_m - y) * (2 / p.width_m), (p.x_m - x) * (2 / p.length_m)])
@@ -96,21 +96,21 @@ class Alignment:
         """1 minus intersection over union with the target, of an image `[..., rows, cols]` in 0..1."""
         return 1 - torch.minimum(image, self.target).sum((-2, -1)) / torch.maximum(image, self.target).sum((-2, -1))
 
-    def undone(self, image: Tensor, placement: Placement) -> Tensor:
-        """The image `[rows, cols]` with the placement undone."""
+    def undo(self, image: Tensor, placement: Placement) -> Tensor:
+        """The image `[rows, cols]` with a placement undone, for comparison with the target."""
         return self.still.at(image[None], placement.of(self.points))[0]
 
     def register(self, image: Tensor, kind: Kind) -> Placement:
-        """The placement of least residual: identity, homography, or a mesh on either."""
+        """The placement with the least residual: identity, homography, or a height mesh on either of these."""
         found = [self.still]
         if "homography" in kind:
             found.append(self._homography(image))
         if "mesh" in kind:
             found += [self._mesh(image, each) for each in found]
-        return min(found, key=lambda each: float(self.residual(self.undone(image, each))))
+        return min(found, key=lambda each: float(self.residual(self.undo(image, each))))
 
     def _homography(self, image: Tensor) -> Placement:
-        """Enhanced correlation coefficient (Evangelidis and Psarakis 2008), on the CPU; the identity if it does not converge."""
+        """Homography by the enhanced correlation coefficient (Evangelidis and Psarakis 2008); the identity without convergence."""
         template, seen = (each.cpu().numpy() for each in (self.target, image))
         H: MatLike = np.eye(3, dtype=np.float32)
         everywhere = np.ones(seen.shape, np.uint8)
@@ -126,7 +126,7 @@ class Alignment:
         return self._place(T @ torch.from_numpy(H).double() @ T.inverse(), self.still.heights)
 
     def _mesh(self, image: Tensor, start: Placement) -> Placement:
-        """Gauss-Newton on heights, which are smooth."""
+        """Gauss-Newton on the heights of a smooth mesh, from a start placement."""
         from kornia.filters import gaussian_blur2d, spatial_gradient
 
         n = self.still.heights.numel()

@@ -5,17 +5,14 @@ reference models the road as a constant pose offset, `J^-1 (measured features - 
 it. As it compares with the light of the measured frames, neither latency nor a cut-off symbol affects it.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import torch
 from pydantic import Field
 from torch import Tensor
 
 from luxloop.controllers.pid import PidGains, PidParams, PidState, pid_gains, pid_reset, pid_step
-from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.controllers.symbol.sensing.flat_model import FlatModel
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
@@ -40,10 +37,10 @@ class PoseParams(StagedParams):
 class FeedbackParams(PoseParams):
     """Common parameters of Gauss-Newton and model reference."""
 
-    dof: Literal["z", "x"] = Field("z", description="what shifts the symbol along the road: height or place of its rectangle")
-    gain: PositiveShare = Field(0.7, description="share of a correction that a step makes")
+    dof: Literal["z", "x"] = Field("z", description="coordinate of the rectangle that moves the symbol along the road: height z or place x")
+    gain: PositiveShare = Field(0.7, description="share of the computed correction applied in a step")
     shift_range_m: tuple[Metres, Metres] = Field(
-        (-9.0, 23.0), description="limits of the correction along x, or of what a height amounts to"
+        (-9.0, 23.0), description="limits of the correction along x, or of the equivalent of a height correction"
     )
 
 
@@ -54,16 +51,16 @@ class GaussNewtonParams(FeedbackParams):
 
 
 class ModelReferenceParams(FeedbackParams):
-    """Compares with the features of the same light on a flat road, so that latency has no effect."""
+    """Corrects by the difference to the features of the same light on a flat road, so that latency has no effect."""
 
     name: Literal["model_reference"] = "model_reference"
 
 
 @dataclass(frozen=True)
 class FeedbackState:
-    """correction: `[..., 4]` of x or z in m, y in m, roll, pitch in rad. losses: `[...]` int64, failed extractions in a row.
+    """State. correction: `[..., 4]` of x or z in m, y in m, roll, pitch in rad. losses: `[...]` int64, failed extractions in a row.
 
-    pose: `[..., 4]`, start pose shown instead of a correction; None after the first step.
+    pose: `[..., 4]`, start pose; None after the first step.
     """
 
     correction: Tensor
@@ -71,25 +68,16 @@ class FeedbackState:
     pose: Tensor | None = None
 
 
-class Rendering(Protocol):
-    """The sensor as a law uses it: the flat model, and features `[..., 4]` of a projection's light on a flat road."""
-
-    @property
-    def model(self) -> FlatModel: ...
-
-    def render(self, projection: ProjectionCommand, lights: Sequence[Utilisation]) -> Tensor: ...
-
-
 @dataclass(frozen=True, eq=False)
 class Feedback:
     """Gauss-Newton or model reference.
 
-    target: `[4]`, the flat-road pose. m_per_z: displacement in m for 1 m of height. inverse: `[4, 4]`, of the flat model's Jacobian. low,
-    high: `[..., 4]`, limits of the correction. gain: `[..., 1]`, losses_to_reset: `[...]`, as in params, which say the rest.
+    target: `[4]`, the flat-road pose. m_per_z: displacement in m for 1 m of height. inverse: `[4, 4]`, of the flat model's Jacobian.
+    low, high: `[..., 4]`, limits of the correction. gain: `[..., 1]`, losses_to_reset: `[...]`, as in params, and per copy in a batch.
     """
 
     params: FeedbackParams
-    sensor: Rendering
+    sensor: SymbolSensor
     target: Tensor
     m_per_z: float
     inverse: Tensor
@@ -100,7 +88,7 @@ class Feedback:
 
     @classmethod
     def prepare(cls, params: FeedbackParams, sensor: SymbolSensor) -> "Feedback":
-        """Measure the Jacobian."""
+        """Measure the flat model's Jacobian by central differences."""
         target = sensor.projector.target
         height = torch.stack([module.T_body_headlight[2, 3] for module in sensor.projector.modules]).mean()
         m_per_z = float(target[0] / height) if params.dof == "z" else 1.0
@@ -152,7 +140,7 @@ class Feedback:
 
 
 def _count(losses: Tensor, code: Tensor, errors: Tensor) -> tuple[Tensor, Tensor]:
-    """Whether errors `[..., 4]` are usable, and the losses in a row `[...]`; a missing frame is none."""
+    """Whether errors `[..., 4]` are usable, and the losses in a row `[...]`; a missing frame is not a loss."""
     usable = (code == ExtractionStatus.SEEN) & errors.isfinite().all(-1)
     return usable, torch.where(usable, 0, losses + (~usable & (code != ExtractionStatus.NO_FRAME)))
 
@@ -165,7 +153,7 @@ def _command(params: FeedbackParams, target: Tensor, correction: Tensor) -> Proj
 
 
 class PidTuning(Params):
-    """Gains of one kind of loop (T 9.4.3)."""
+    """Gains of the position loops or of the rotation loops (T 9.4.3)."""
 
     kp: Real = Field(examples=[0.3], description="proportional gain")
     ki: Real = Field(examples=[0.1], description="integral gain a step")
@@ -176,7 +164,7 @@ class PidTuning(Params):
 
 
 class ThesisPidParams(PoseParams):
-    """Four PIDs with the gains of T 9.4.3. Limits keep the primitive from turning edge-on, which it is at atan(h/x) = 2.5 deg nose-down."""
+    """Four PIDs with the gains of T 9.4.3. The limits prevent an edge-on primitive, at atan(h/x) = 2.5 deg nose-down."""
 
     name: Literal["thesis_pid"] = "thesis_pid"
     position: PidTuning = Field(PidTuning(kp=0.75, ki=0.5, kd=0.26, tracking_steps=1.1), description="gains of the x and y loops")
@@ -190,7 +178,7 @@ class ThesisPidParams(PoseParams):
 
 @dataclass(frozen=True)
 class ThesisPidState:
-    """pid: the four loops x, y, roll, pitch, whose outputs are the pose `[..., 4]`. losses: `[...]` int64, failed extractions in a row."""
+    """State. pid: loops x, y, roll, pitch, whose outputs are the pose `[..., 4]`. losses: `[...]` int64, failed extractions in a row."""
 
     pid: PidState
     losses: Tensor
@@ -198,8 +186,8 @@ class ThesisPidState:
 
 @dataclass(frozen=True, eq=False)
 class ThesisPid:
-    """Four PIDs (T 9.4.1); target: the flat-road pose `[4]` (x, y in m, roll, pitch in rad). losses_to_reset: as in its parameters, `[...]`
-    where it differs in a batch.
+    """Four PIDs (T 9.4.1). target: the flat-road pose `[4]` (x, y in m, roll, pitch in rad). losses_to_reset: as in ThesisPidParams, or
+    `[...]` per copy in a batch.
     """
 
     gains: PidGains
@@ -208,7 +196,7 @@ class ThesisPid:
 
     @classmethod
     def prepare(cls, params: ThesisPidParams, target: Tensor) -> "ThesisPid":
-        """target: as above."""
+        """The PIDs of a scenario's parameters for a target pose `[4]`."""
         loops = []
         for degree in appearance.DEGREES:
             tuning, (low, high) = params.position if degree.unit == "m" else params.rotation, degree.limits(params)

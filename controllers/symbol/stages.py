@@ -1,4 +1,4 @@
-"""Stages on top of any controller with feedback: optional warp and supervisor, and lifting onto the relocalised road.
+"""Stages around a controller with feedback: optional warp and supervisor, and drawing on the relocalised road.
 
 Also user-defined controllers: `package.module:Name`.
 """
@@ -19,22 +19,25 @@ from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world import plugin
 from luxloop.world.params import Params, PositiveShare, Share
 
-BEYOND = (0.4, 0.15)  # margin of a warp's rectangle on every side, of the symbol's length and width
+BEYOND = (0.4, 0.15)  # margin of a warp's rectangle on every side, in lengths and widths of the symbol
 LEAST_SHARE = 0.2  # least share of a placement to undo; below it no gain is expected
 
 
 class WarpParams(Params):
-    """Warping of the symbol once the controller has brought it near its target."""
+    """Warp of the symbol, once the controller has brought it near its target."""
 
-    kind: Kind = Field("homography+mesh", description="a homography, and heights of a mesh, which move the symbol along epipolar lines")
-    takes_over: PositiveShare = Field(0.3, description="largest residual, 1 minus IoU, that the first registration may leave")
-    least_drop: float = Field(0.005, ge=0, lt=1, description="drop of the residual below which nothing is changed")
+    kind: Kind = Field("homography+mesh", description="homography, and heights of a mesh, which move the symbol along epipolar lines")
+    takes_over: PositiveShare = Field(0.3, description="largest residual, 1 minus IoU, after the first registration")
+    least_drop: float = Field(0.005, ge=0, lt=1, description="least drop of the residual for a change of the warp")
 
 
 @dataclass(frozen=True)
 class WarpingState:
-    """inner: the controller's state. residual: 1 minus IoU of the best symbol so far, or of the controller's last. best: its projection,
-    None while the controller draws. projection: the one on trial. share: of a placement to undo in one step, zero when no gain is expected.
+    """State of the warp stage.
+
+    inner: the controller's state. residual: 1 minus IoU of the best projection, or of the controller's last. best: projection with the
+    lowest residual, None while the controller draws. projection: projection on trial. share: share of a placement that one step undoes,
+    zero when no gain is expected.
     """
 
     inner: Any
@@ -45,14 +48,14 @@ class WarpingState:
 
 
 class Warping:
-    """The controller's projection until it no longer improves, then a warp, composed exactly with each registration."""
+    """Draws the controller's projection until its residual stops falling, then warps the symbol by successive registrations."""
 
     def __init__(self, params: WarpParams, inner: SymbolController, sensor: SymbolSensor) -> None:
         self.params, self.inner, self.projector = params, inner, sensor.projector
         self.alignment = Alignment.prepare(sensor)
 
     def start(self, pose: Tensor) -> WarpingState:
-        """State that shows the pose `[4]` first."""
+        """The initial state, whose command shows the pose `[4]`."""
         return WarpingState(self.inner.start(pose))
 
     def projection(self, state: WarpingState, ego: Ego | None) -> ProjectionCommand:
@@ -60,7 +63,7 @@ class Warping:
         return state.projection or self.inner.projection(state.inner, ego)
 
     def step(self, state: WarpingState, observation: Observation) -> WarpingState:
-        """Keep a warp with a lower residual than all before, else halve the step; return a lost symbol to the controller."""
+        """Keep a warp that lowers the residual, else halve the step; hand a lost symbol back to the controller."""
         code = observation.measurement.code
         lost = code != ExtractionStatus.SEEN
         if state.projection is None or (lost and code != ExtractionStatus.NO_FRAME):
@@ -87,13 +90,13 @@ class Warping:
         if residual < state.residual - self.params.least_drop:
             return following
         placement = self.alignment.register(image, self.params.kind)
-        if float(self.alignment.residual(self.alignment.undone(image, placement))) > self.params.takes_over:
+        if float(self.alignment.residual(self.alignment.undo(image, placement))) > self.params.takes_over:
             return following
         return self._try(replace(following, best=observation.shown.projection), placement, image)
 
     def _try(self, state: WarpingState, placement: Placement, image: Tensor) -> WarpingState:
         assert state.best is not None
-        drop = state.residual - float(self.alignment.residual(self.alignment.undone(image, placement)))
+        drop = state.residual - float(self.alignment.residual(self.alignment.undo(image, placement)))
         if drop < self.params.least_drop:
             return replace(state, projection=state.best, share=0.0)
         warp = state.best.warp or self._whole()
@@ -111,21 +114,21 @@ class Warping:
 
 
 class SupervisorParams(Params):
-    """Conditions for handing over to and from a controller."""
+    """Conditions under which a controller takes over from the open loop, and hands back."""
 
     grace_steps: int = Field(
-        8, ge=1, le=1_000_000, description="observations of the controller's symbol, after which it has to lie better than the open loop's"
+        8, ge=1, le=1_000_000, description="observations of the controller's symbol after which it must be better than the open loop"
     )
-    explained: Share = Field(0.3, description="share of the residual that registration explains at least; of obstacles it is less")
+    explained: Share = Field(0.3, description="least share of the residual that registration must explain; obstacles explain less")
     changed: PositiveShare = Field(0.05, description="change of the open loop's residual, 1 minus IoU, that is worth another try")
 
 
 @dataclass(frozen=True)
 class SupervisingState:
-    """inner: state of the controller in charge, None for the open loop. opened: residual of the open loop when last seen.
+    """State of the supervisor.
 
-    observations: number of observations of the controller's symbol. failed: residual of the open loop that the controller could not reduce,
-    or None.
+    inner: state of the controller in charge, None for the open loop. opened: last residual of the open loop. observations: number of
+    observations of the controller's symbol. failed: residual of the open loop that the controller could not reduce, or None.
     """
 
     inner: Any = None
@@ -135,7 +138,7 @@ class SupervisingState:
 
 
 class Supervising:
-    """Begins with the open loop; the controller takes over on uneven roads, as long as it is better."""
+    """Begins with the open loop; the controller takes over on uneven roads while its residual is lower."""
 
     def __init__(self, params: SupervisorParams, inner: SymbolController, sensor: SymbolSensor) -> None:
         self.params, self.inner, self.target = params, inner, sensor.projector.target
@@ -143,15 +146,15 @@ class Supervising:
         self.flat = ProjectionCommand(self.target)
 
     def start(self, pose: Tensor) -> SupervisingState:
-        """The open loop, for any pose `[4]`."""
+        """The open loop, whatever the pose `[4]`."""
         return SupervisingState()
 
     def projection(self, state: SupervisingState, ego: Ego | None) -> ProjectionCommand:
-        """The open loop's, or the controller's."""
+        """The projection of the open loop or of the controller."""
         return self.flat if state.inner is None else self.inner.projection(state.inner, ego)
 
     def step(self, state: SupervisingState, observation: Observation) -> SupervisingState:
-        """Check the measurement, then step the controller in charge."""
+        """Compare the residuals, then step the controller in charge."""
         seen = observation.measurement
         if seen.code == ExtractionStatus.NO_FRAME:
             return state if state.inner is None else replace(state, inner=self.inner.step(state.inner, observation))
@@ -167,25 +170,25 @@ class Supervising:
         return replace(state, observations=state.observations + 1, inner=self.inner.step(state.inner, observation))
 
     def _try(self, residual: float, image: Tensor, state: SupervisingState, observation: Observation) -> SupervisingState:
-        """Hand over to the controller, unless it failed here before or a registration explains too little, as with a hidden road."""
+        """Hand over to the controller, unless it failed at this residual or registration explains too little."""
         if observation.measurement.code != ExtractionStatus.SEEN or (
             state.failed is not None and abs(residual - state.failed) < self.params.changed
         ):
             return state
         placement = self.alignment.register(image, "homography+mesh")
-        left = float(self.alignment.residual(self.alignment.undone(image, placement)))
+        left = float(self.alignment.residual(self.alignment.undo(image, placement)))
         if left > (1 - self.params.explained) * residual:
             return SupervisingState(failed=residual)
         return SupervisingState(self.inner.step(self.inner.start(self.target), observation), residual)
 
 
 SURE = 0.85  # correlation above which a new road shape is accepted although the symbol is seen on the present one; on grades it exceeds 0.9
-LOSSES = 4  # in a row, after which a shape is dropped: more than controllers need to show their target again
+LOSSES = 4  # losses in a row after which a road shape is dropped: more than controllers need to show their target again
 
 
 @dataclass(frozen=True)
 class LiftingState:
-    """inner: the controller's state. shape: `[4]` of the assumed road, None for the plane z = 0. losses: in a row, on a shape."""
+    """State. inner: of the controller. shape: `[4]` of the assumed road, None for z = 0. losses: losses in a row."""
 
     inner: Any
     shape: Tensor | None = None
@@ -193,22 +196,22 @@ class LiftingState:
 
 
 class Lifting:
-    """The controller draws and measures as on the plane z = 0, and restarts at the target on every newly acquired road."""
+    """The controller draws and measures as on z = 0; on every newly relocalised road it restarts at the target."""
 
     def __init__(self, inner: SymbolController, sensor: SymbolSensor) -> None:
         self.inner, self.sensor, self.projector = inner, sensor, sensor.projector
 
     def start(self, pose: Tensor) -> LiftingState:
-        """State that shows the pose `[..., 4]` first."""
+        """The initial state, whose command shows the pose `[..., 4]`."""
         return LiftingState(self.inner.start(pose))
 
     def projection(self, state: LiftingState, ego: Ego | None) -> ProjectionCommand:
-        """The controller's projection, lifted onto the known road."""
+        """The controller's projection on the relocalised road."""
         projection = self.inner.projection(state.inner, ego)
         return projection if state.shape is None else replace(projection, shape=state.shape)
 
     def step(self, state: LiftingState, observation: Observation) -> LiftingState:
-        """Step the controller with observations of light for the known road; errors of earlier light belong to another plant."""
+        """Step the controller with observations of light for the present road shape; others belong to another plant."""
         if not _same(observation.shown.projection.shape, state.shape):
             return state
         shape, losses = self._road(state, observation)
@@ -222,7 +225,7 @@ class Lifting:
         return LiftingState(self.inner.step(state.inner, observation), shape, losses)
 
     def _road(self, state: LiftingState, observation: Observation) -> tuple[Tensor | None, int]:
-        """The road's shape after an observation, None on the move, where shapes do not apply, and the number of losses in a row on it."""
+        """The road shape after an observation, None on the move, and the number of losses in a row."""
         moving = observation.ego is not None and not observation.ego.stands
         seen = observation.measurement
         if seen.code.dim() or moving:
@@ -233,7 +236,7 @@ class Lifting:
         return (None, 0) if losses == LOSSES else (state.shape, losses)
 
     def _beyond(self, known: Tensor | None, observation: Observation) -> Tensor | None:
-        """The known shape, or that of a road farther off if the symbol reaches the footprint's ends."""
+        """The known shape, or a relocalised shape if the symbol reaches the footprint's ends."""
         if observation.frames is None or not self.sensor.at_ends(observation.measurement):
             return known
         found = self.sensor.relocalise(observation.frames, observation.shown.lights)
@@ -248,12 +251,12 @@ def _same(a: Tensor | None, b: Tensor | None) -> bool:
 class StagedParams(Params):
     """Keys of all controllers that can have stages."""
 
-    warp: WarpParams | None = Field(None, description="warps the symbol where the controller can do no more; left out: none")
-    supervisor: SupervisorParams | None = Field(None, description="shows the open loop where control does not better it; left out: none")
+    warp: WarpParams | None = Field(None, description="warp of the symbol once the controller's residual stops falling; left out: none")
+    supervisor: SupervisorParams | None = Field(None, description="shows the open loop where control is not better; left out: none")
 
 
 def with_stages(params: StagedParams, controller: SymbolController, sensor: SymbolSensor) -> SymbolController:
-    """The controller with the stages of its keys, lifted onto the road."""
+    """The controller with the stages that its parameters name, and with drawing on the relocalised road."""
     if params.warp is not None:
         controller = Warping(params.warp, controller, sensor)
     if params.supervisor is not None:
@@ -273,5 +276,5 @@ class OwnParams(StagedParams):
 
 
 def own_controller(params: OwnParams, sensor: SymbolSensor) -> SymbolController:
-    """Import and construct it. Raises LuxloopError if it does not exist, refuses its options or lacks a method."""
+    """Import and construct the controller. Raises LuxloopError if the class does not exist, refuses its options or lacks a method."""
     return cast(SymbolController, plugin.make(params.name, KEY, {"sensor": sensor}, params.options, METHODS))

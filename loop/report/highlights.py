@@ -9,8 +9,9 @@ from torch import Tensor
 from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.appearance import appearance, image_axes
-from luxloop.perception.extraction import Crop, ExtractionStatus
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.perception.tracking import TrackerParams
+from luxloop.world.texels import Window
 
 MOMENTS = 4  # steps whose pictures the page shows
 PAST_SYMBOLS = 12
@@ -57,7 +58,7 @@ class SymbolHistory:
         self.name = name
         self._keep = set(np.geomspace(1, max(steps, 1), PAST_SYMBOLS).round().astype(int) - 1)
         self.path: list[list[float]] = []
-        self.symbols: list[tuple[Crop, NDArray[np.bool_]]] = []
+        self.symbols: list[tuple[Window, NDArray[np.bool_]]] = []
         self.frame: Tensor | None = None  # the newest on frame
         self.last: Evaluation | None = None  # that shows the symbol
         self.shown: dict[float, Tensor] = {}  # poses that the plant showed, by time in s

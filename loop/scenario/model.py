@@ -15,7 +15,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from luxloop.controllers.functions.planner import Functions, LightingParams
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
 from luxloop.controllers.pixels.jpo import JpoParams
-from luxloop.controllers.pixels.mrpc import MrpcParams
+from luxloop.controllers.pixels.pixel_major import MrpcParams
 from luxloop.loop.scenario.checks import Baseline, CheckParams
 from luxloop.loop.scenario.disturbances import DisturbanceParams
 from luxloop.loop.scenario.overrides import Override, is_file, overridden, resolve_paths, tables, texts

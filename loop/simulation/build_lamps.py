@@ -12,7 +12,7 @@ from luxloop.controllers.pixels.jpo import Jpo, JpoParams
 from luxloop.controllers.pixels.morphing import Morphing
 from luxloop.controllers.pixels.mrpc import pixel_flux
 from luxloop.controllers.pixels.pixel_major import MrpcParams
-from luxloop.controllers.pixels.primitives import meant
+from luxloop.controllers.pixels.primitives import names_module
 from luxloop.controllers.pixels.ssc import PixelController, Ssc
 from luxloop.loop.scenario.model import HeadlightParams, Scenario
 from luxloop.loop.scenario.shipped import find_file
@@ -101,7 +101,7 @@ def shining_module(scenario: Scenario, module: MountedModule, cache: PartCache) 
 def _raw(given: Sequence[RawParams], module: str, headlight: Headlight) -> RawUtilisation | None:
     """The raw utilisations of a module. Raises LuxloopError that names the key and the file where they are not its own."""
     for i, raw in enumerate(given):
-        if meant(raw.modules, module):
+        if names_module(raw.modules, module):
             with locate(f"lighting.raw[{i}].file, for module {module!r} (its modules say which are meant)"):
                 file = find_file(raw.file, "utilisations")
                 return read_sequence(file, headlight.pixel_rows, headlight.pixel_cols, raw.rate_hz, raw.repeat)
@@ -130,6 +130,6 @@ def pixel_controller(headlight: Headlight, name: str, ssc: MrpcParams, jpo: JpoP
 def drawing_modules(function: SymbolFunctionParams, modules: Sequence[MountedModule]) -> tuple[int, ...]:
     """Indices of the modules that draw a symbol under control: those that it names, else the finest one of the first lamp."""
     if function.modules:
-        return tuple(k for k, each in enumerate(modules) if meant(function.modules, each.name))
+        return tuple(k for k, each in enumerate(modules) if names_module(function.modules, each.name))
     first = [k for k, each in enumerate(modules) if each.side == modules[0].side]
     return (min(first, key=lambda k: pixel_area(modules[k].headlight)),)

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 from luxloop.controllers.functions.commands import MOVEMENTS, CommandParams, DirectParams
-from luxloop.controllers.pixels.primitives import meant
+from luxloop.controllers.pixels.primitives import names_module
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
 from luxloop.loop.scenario.model import Scenario, object_names
 from luxloop.loop.scenario.plant import RecordedPlantParams, SimulatedPlantParams, shadow_of
@@ -49,7 +49,7 @@ def _lighting(scenario: Scenario, modules: Modules) -> Sentences:
     for k, raw in enumerate(lighting.raw):
         yield from _unknown_modules(f"lighting.raw[{k}]", raw, modules)
     for module in modules:
-        own_raw = [f"lighting.raw[{k}]" for k, raw in enumerate(lighting.raw) if meant(raw.modules, module.name)]
+        own_raw = [f"lighting.raw[{k}]" for k, raw in enumerate(lighting.raw) if names_module(raw.modules, module.name)]
         if len(own_raw) > 1:
             yield f"{' and '.join(own_raw[:2])} both apply to module {module.name!r}; name the modules of each in its modules"
         for beam in () if own_raw else lighting.base.names:
@@ -115,12 +115,14 @@ def _movements(scenario: Scenario, modules: Modules) -> Sentences:
     """Functions that turn or dim modules which can be turned, and of which none draws a symbol under control."""
     drawing = [(name, modules[k]) for name, symbol in scenario.symbols.items() for k in drawing_modules(symbol, modules)]
     for name, function in scenario.functions.items():
-        if isinstance(function, CommandParams):
-            how = MOVEMENTS[function.movement]
+        if isinstance(function, DirectParams):
+            if all(getattr(function, movement) == getattr(REST, movement) for movement in MOVEMENTS):
+                continue
+            how = "turned or dimmed"
+        elif isinstance(function, CommandParams):
+            how = MOVEMENTS[function.movements[0]]
             if not any(map(function.moves, modules)):
                 yield f"functions.{name}.modules: none of these modules can be {how}; name others, or take another lamp as headlight.model"
-        elif isinstance(function, DirectParams) and function.module_command != REST:
-            how = "turned or dimmed"
         else:
             continue
         yield from (at_rest(symbol, module.name, f"{how} by functions.{name}") for symbol, module in drawing if function.moves(module))

@@ -6,7 +6,6 @@ from luxloop.controllers.functions.commands import (
     MOVEMENTS,
     BendingParams,
     CommandParams,
-    DirectParams,
     LevellingParams,
     Movement,
 )
@@ -31,9 +30,7 @@ def moved(planner: Planner, modules: Sequence[ShiningModule]) -> list[tuple[str,
     """What functions command: names of modules, and how they move, which a function of the user's own says of none."""
 
     def of(function: object, module: ShiningModule, movement: Movement) -> bool:
-        if isinstance(function, DirectParams):
-            return function.moves(module)
-        return not isinstance(function, CommandParams) or (function.movement == movement and function.moves(module))
+        return not isinstance(function, CommandParams) or (movement in function.movements and function.moves(module))
 
     functions = planner.commanding.values()
     return [

@@ -21,8 +21,9 @@ from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, Symbol
 from luxloop.loop.simulation.protocol import ExposurePair
 from luxloop.loop.simulation.road_metrics import SymbolEvaluator
 from luxloop.perception.egomotion import Ego
-from luxloop.perception.extraction import Crop, ExtractionStatus
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.perception.metrics import THRESHOLD
+from luxloop.world.texels import Window
 
 SAME = 1e-4  # of a utilisation, which more than rounding changes
 
@@ -128,7 +129,7 @@ class ControlledSymbol:
         left, whole = (self.sensor.render(shown.projection, lights) for lights in (shown.lights, alone))
         return left - whole if bool(whole.isfinite().all()) else None
 
-    def footprint(self, projection: ProjectionCommand) -> Crop:
+    def footprint(self, projection: ProjectionCommand) -> Window:
         """Where the camera may see a projection."""
         return self.projector.footprint(projection, self.sensor.model.eye.view, self.sensor.params.footprint_margin_m)
 
@@ -139,16 +140,12 @@ def choose_measured(
     """Names of the symbols to be measured together: those that have waited longest, no two in one part of the image."""
     if len(projections) < 2:
         return tuple(projections)
-    taken: dict[str, Crop] = {}
+    taken: dict[str, Window] = {}
     for name in sorted(projections, key=lambda name: (states[name].turn, name)):
         where = symbols[name].footprint(projections[name])
-        if not any(_meet(where, other) for other in taken.values()):
+        if not any(where.meets(other) for other in taken.values()):
             taken[name] = where
     return tuple(taken)
-
-
-def _meet(a: Crop, b: Crop) -> bool:
-    return a.u_start < b.u_stop and b.u_start < a.u_stop and a.v_start < b.v_stop and b.v_start < a.v_stop
 
 
 def brightness(sensor: SymbolSensor, evaluator: SymbolEvaluator | None) -> Tensor:

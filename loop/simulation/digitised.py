@@ -8,7 +8,7 @@ from typing import Any, Final
 import torch
 from torch import Tensor
 
-from luxloop.controllers.pixels.primitives import meant
+from luxloop.controllers.pixels.primitives import names_module
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.part_cache import PartCache
 from luxloop.loop.simulation.protocol import Arrivals, Exposure
@@ -84,7 +84,7 @@ def digitised_plant(scenario: Scenario, modules: Sequence[LampModule], cache: Pa
 def digitised_number(scenario: Scenario, names: Sequence[str]) -> int:
     """Which of the modules that shine, by their names, is digitised. Raises LuxloopError where it is no single one."""
     name = scenario.digitised_module or ""
-    found = [k for k, each in enumerate(names) if meant([name], each)]
+    found = [k for k, each in enumerate(names) if names_module([name], each)]
     if len(found) != 1:
         told = f"{len(found)} modules are called {name!r}" if found else f"there is no module {name!r}"
         raise LuxloopError(f"modules.{name}: {told}; name one of {', '.join(names)}")

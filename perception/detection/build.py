@@ -20,8 +20,8 @@ from luxloop.perception.detection.detector import (
     OnnxParams,
     OwnDetector,
     RunParams,
+    best_detections,
     encode,
-    surest,
 )
 from luxloop.perception.detection.network import NetworkDetector, load
 from luxloop.perception.detection.onnx import SHARES, OnnxDetector
@@ -55,7 +55,7 @@ def own_detector(made_by: type, params: OwnDetector, device: torch.device) -> "C
     if not isinstance(classes, tuple) or not classes or any(each not in known for each in classes):
         given = "no classes" if classes is None else f"classes = {classes!r}"
         raise LuxloopError(f"{KEY}: {params.kind}: has {given}; it needs a tuple of some of {', '.join(known)}")
-    return CheckedDetector(own, params.kind)
+    return CheckedDetector(own)
 
 
 def network_detector(params: NetworkParams, device: torch.device) -> NetworkDetector:
@@ -71,10 +71,9 @@ def network_detector(params: NetworkParams, device: torch.device) -> NetworkDete
 
 @dataclass(frozen=True)
 class CheckedDetector:
-    """A user-defined detector whose detections are checked. kind: its name in the scenario."""
+    """A user-defined detector whose detections are checked."""
 
     own: plugin.Guard
-    kind: plugin.Name
 
     @property
     def classes(self) -> tuple[Category, ...]:
@@ -86,10 +85,10 @@ class CheckedDetector:
 
     def check(self, found: Any, frames: Tensor) -> Sequence[Detections]:
         """The detections in frames `[B, height, width]`. Raises LuxloopError where they are invalid."""
-        where, classes = f"{KEY}: {self.kind}: detect", len(self.classes)
+        where, classes = f"{KEY}: {self.own.name}: detect", len(self.classes)
         if not isinstance(found, list | tuple):
             raise LuxloopError(f"{where} gives a {type(found).__name__}; give a list with one luxloop.Detections a frame")
-        with plugin.running(self.kind, KEY, f"reading what detect gives, which must {GIVES},"):
+        with plugin.running(self.own.name, KEY, f"reading what detect gives, which must {GIVES},"):
             shapes = [(tuple(each.boxes.shape), tuple(each.scores.shape)) for each in found]
             finite = all(bool(each.boxes.isfinite().all() and each.scores.isfinite().all()) for each in found)
         if len(shapes) != len(frames):
@@ -106,7 +105,7 @@ class CheckedDetector:
 
 
 def _check_ranges(found: Detections, height: int, width: int) -> None:
-    """Raises LuxloopError where scores are no shares, or boxes none in a frame of this size in px."""
+    """Raises LuxloopError for scores outside 0..1, and for boxes that are not boxes in a frame of height x width px."""
     if not len(found):
         return
     (low, high), boxes = (float(each) for each in found.scores.aminmax()), found.boxes
@@ -129,7 +128,7 @@ def _check_ranges(found: Detections, height: int, width: int) -> None:
         )
 
 
-SHRINK = (0.55, 0.75)  # of its window of 64 x 128 px, in whose middle a person of 96 px stands
+SHRINK = (0.55, 0.75)  # width and height of a person over those of HOG's window of 64 x 128 px
 
 
 class HogDetector:
@@ -159,4 +158,4 @@ class HogDetector:
         half = size * torch.tensor(SHRINK) / 2
         boxes = torch.cat([corner + size / 2 - half, corner + size / 2 + half], 1)
         scores = torch.sigmoid(params.slope * torch.from_numpy(np.ravel(margins).astype(np.float32)))
-        return surest(boxes, scores[:, None], 0.0, params.overlap, frame.device)
+        return best_detections(boxes, scores[:, None], 0.0, params.overlap, frame.device)

@@ -1,4 +1,4 @@
-"""Object detectors: their protocol, their parameters in a scenario, and what they have in common."""
+"""Object detectors: protocol, parameters in a scenario, and common functions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ def encode(frame: Tensor, gamma: float) -> np.ndarray:
     return picture
 
 
-SAME = 0.3  # least overlap of a box with the object that it is said to show
+SAME = 0.3  # least overlap of a detected box with the object's box
 
 
 def overlaps(boxes: Tensor, others: Tensor) -> Tensor:
@@ -65,15 +65,13 @@ def suppress(boxes: Tensor, overlap: float) -> Tensor:
     """Boxes `[..., n, 4]`, by descending score, that overlap one of higher score with an IoU above `overlap`: `[..., n]` bool (Fast NMS,
     Bolya 2019).
 
-    A box suppresses others even if it is suppressed itself, so that all are compared at once.
+    Suppressed boxes suppress others as well, so that all boxes are compared at once.
     """
     return overlaps(boxes, boxes).triu(1).amax(-2) > overlap
 
 
-def surest(boxes: Tensor, scores: Tensor, threshold: float, overlap: float, device: torch.device) -> Detections:
-    """Detections with a best score of at least the threshold, in its order, without those that `suppress` names. boxes: `[n, 4]`; scores:
-    `[n, C]`.
-    """
+def best_detections(boxes: Tensor, scores: Tensor, threshold: float, overlap: float, device: torch.device) -> Detections:
+    """Detections by descending best score, from the threshold on, without suppressed boxes. boxes: `[n, 4]`; scores: `[n, C]`."""
     best = scores.amax(1)
     order = best.argsort(descending=True)
     order = order[best[order] >= threshold]
@@ -142,11 +140,11 @@ class OnnxParams(CodedParams):
 
 
 class OwnDetector(OwnPart):
-    """`Name(**options)` of a user's module makes the detector."""
+    """A user-defined detector `Name(device, **options)`."""
 
 
 class TruthParams(Params):
-    """Ground truth: every object of the scene, however dark. Classes are those of the objects, parked cars included."""
+    """Ground truth: every object of the scene, however dark. Classes: of all objects, parked cars included."""
 
     kind: Literal["truth"] = "truth"
     least_height_px: NotNegative = Field(12.0, description="least height of a detected object")

@@ -27,7 +27,7 @@ NAMES = {"collections OrderedDict", "torch._utils _rebuild_tensor_v2", "torch Ha
 class Network(nn.Module):
     """From frames `[B, 1, height, width]`, as from `prepared`, to class logits and box sides in cells of 8 x 8 px.
 
-    It works at scales of 2 to 32 px and adds coarser features to finer ones.
+    The network works at scales of 2 to 32 px and adds coarser features to finer features.
     """
 
     def __init__(self, classes: int) -> None:
@@ -117,7 +117,7 @@ class NetworkDetector:
 
 
 def load(file: Path, device: torch.device) -> tuple[Network, tuple[Category, ...]]:
-    """The network from a file that `save` wrote, and its classes. Raises LuxloopError if the file is no such file."""
+    """The network from a file that `save` wrote, and its classes. Raises LuxloopError for any other file."""
     with reading(file, "holds no weights of this network", "take a file that `luxloop train-detector` wrote"):
         with zipfile.ZipFile(file) as archive:
             afford(f"{file}: its weights", 2 * sum(entry.file_size for entry in archive.infolist()), "train them anew")

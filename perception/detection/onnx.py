@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import one_hot
 
-from luxloop.perception.detection.detector import COCO, COCO_CLASSES, Detections, Layout, OnnxParams, encode, surest
-from luxloop.perception.detection.onnx_file import by, open_network, said
+from luxloop.perception.detection.detector import COCO, COCO_CLASSES, Detections, Layout, OnnxParams, best_detections, encode
+from luxloop.perception.detection.onnx_file import error_text, open_network, size_text
 from luxloop.world.errors import LuxloopError
 from luxloop.world.traffic.tracked import Category
 
@@ -28,7 +28,7 @@ MOST_CLASSES = 10_000  # of a network
 
 
 def one_a_cell(n_boxes: float, input_px: tuple[int, int]) -> bool:
-    """Whether a network gives a box for each cell of three or more levels of its picture."""
+    """Whether n_boxes is the number of cells of three or more successive levels of a picture."""
     cells = [(input_px[0] // stride) * (input_px[1] // stride) for stride in STRIDES]
     return n_boxes in {sum(cells[first:last]) for first in range(len(cells)) for last in range(first + 3, len(cells) + 1)}
 
@@ -77,7 +77,7 @@ def _plausible(boxes: Tensor, scores: Tensor) -> None:
 
 
 def _by_class(scores: Tensor, numbers: Tensor) -> Tensor:
-    """Scores `[n, C]` of boxes of one class each, from those scores and the classes' numbers `[n]`."""
+    """Scores `[n, C]` of boxes of one class each, from the scores `[n]` and the class numbers `[n]`."""
     if len(numbers) and not (_whole(numbers) and numbers.min() >= 0 and numbers.max() < MOST_CLASSES):
         raise ValueError("the sixth number of each box is not a class number")
     return scores[:, None] * one_hot(numbers.long(), int(max(numbers.tolist(), default=0)) + 1)
@@ -96,7 +96,7 @@ class OnnxDetector:
     def __init__(self, params: OnnxParams) -> None:
         """Open the file and run it once, on a picture that brightens to the right.
 
-        Raises LuxloopError as `onnx_file.opened` does, and if the output is not what the parameters say.
+        Raises LuxloopError as `onnx_file.open_network`, and if the output does not fit the parameters.
         """
         self.params = params
         self.meaning = params.classes or COCO
@@ -113,7 +113,7 @@ class OnnxDetector:
             )
 
     def detect(self, frames: Tensor) -> Sequence[Detections]:
-        """See `Detector`. Raises LuxloopError if the output is not what the parameters say (see `yolo.read`)."""
+        """See `Detector`. Raises LuxloopError if the output does not fit the parameters."""
         return [self._found(frame) for frame in frames]
 
     def _found(self, frame: Tensor) -> Detections:
@@ -128,7 +128,7 @@ class OnnxDetector:
         scores = self._ours(scores)
         boxes = (boxes - torch.tensor([x, y, x, y])) / scale
         boxes = torch.minimum(boxes.clamp(min=0), torch.tensor([width, height, width, height]).float())
-        return surest(boxes, scores, params.threshold, params.overlap, frame.device)
+        return best_detections(boxes, scores, params.threshold, params.overlap, frame.device)
 
     def _run(self, picture: np.ndarray) -> Tensor:
         """Output of the network for a picture `[rows, columns]` uint8."""
@@ -138,19 +138,19 @@ class OnnxDetector:
             out = np.asarray(self._net.forward())
         except cv2.error as error:
             raise LuxloopError(
-                f"detector.file: {self.params.file}: OpenCV cannot run it on {by(blob.shape)} numbers ({said(error)}); "
+                f"detector.file: {self.params.file}: OpenCV cannot run it on {size_text(blob.shape)} numbers ({error_text(error)}); "
                 "export it for detector.input_px and detector.channels, or correct these"
             ) from error
         return torch.from_numpy(out.copy())
 
     def _ours(self, scores: Tensor) -> Tensor:
-        """Scores `[n, C]` of luxloop's classes from those of the network's classes."""
+        """Scores `[n, C]` of luxloop's classes from scores of the network's classes."""
         scores = torch.nn.functional.pad(scores, (0, max(max(self.meaning) + 1 - scores.shape[1], 0)))
         numbers = [[number for number, each in self.meaning.items() if each == category] for category in self.classes]
         return torch.stack([scores[:, each].amax(1) for each in numbers], 1)
 
     def _read(self, out: Tensor) -> tuple[Tensor, Tensor]:
-        """As `yolo.read`. Raises LuxloopError that names the output and the layout that fits."""
+        """`read` for the network's layout. Raises LuxloopError that names the output and a fitting layout."""
         layout = self.params.layout
         try:
             return read(out, layout, self.params.input_px)
@@ -170,11 +170,11 @@ class OnnxDetector:
 
         found = [f'set detector.layout = "{layout}"' for layout in LAYOUTS if layout != self.params.layout and fits(out, layout)]
         if out.ndim == 3 and fits(turned := out.transpose(1, 2), "yolov8"):
-            found.append(f'export it as {by(turned.shape)} and set detector.layout = "yolov8" where its boxes have no objectness')
+            found.append(f'export it as {size_text(turned.shape)} and set detector.layout = "yolov8" where its boxes have no objectness')
         return found
 
     def _wrong_classes(self, layout: Layout, number: int) -> str | None:
-        """Why the number of classes does not fit; yolov10 does not tell it in its shape."""
+        """Why the number of classes does not fit, or None; the shape of yolov10 does not contain the number."""
         if layout == "yolov10":
             return None
         if self.params.classes is None and number != COCO_CLASSES:
@@ -190,4 +190,4 @@ class OnnxDetector:
             raise LuxloopError(f"detector.classes: {self._gives(out)}, {number} classes as {layout}, {wrong}{others}")
 
     def _gives(self, out: Tensor) -> str:
-        return f"{self.params.file} gives {by(out.shape)} numbers"
+        return f"{self.params.file} gives {size_text(out.shape)} numbers"

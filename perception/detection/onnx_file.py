@@ -35,26 +35,26 @@ def open_network(params: OnnxParams) -> cv2.dnn.Net:
     """
     if not os.path.isfile(params.file):
         raise LuxloopError(f"detector.file: {params.file}: there is no such file; check the path")
-    _check(_sound(params.file), params)
+    _check(_checked_model(params.file), params)
     try:
         # the classic engine gives outputs in another order
         return cv2.dnn.readNetFromONNX(params.file, cv2.dnn.ENGINE_NEW)
     except cv2.error as error:
-        raise LuxloopError(f"detector.file: {params.file}: OpenCV cannot read it ({said(error)}); export it again") from error
+        raise LuxloopError(f"detector.file: {params.file}: OpenCV cannot read it ({error_text(error)}); export it again") from error
 
 
-def said(error: Exception) -> str:
-    """An error of a library in a line."""
+def error_text(error: Exception) -> str:
+    """The text of a library's error in one line."""
     return " ".join(str(getattr(error, "err", None) or error).split())[:200]
 
 
-def by(sizes: tuple[int | str, ...]) -> str:
+def size_text(sizes: tuple[int | str, ...]) -> str:
     """Sizes in words."""
     return " x ".join(map(str, sizes))
 
 
-def _sound(file: str) -> "onnx.ModelProto":
-    """The model in a file; OpenCV crashes at tensors that hold less than they declare."""
+def _checked_model(file: str) -> "onnx.ModelProto":
+    """The model of a file, checked since OpenCV crashes on damaged tensors."""
     import onnx
     from google.protobuf.message import DecodeError
 
@@ -65,7 +65,7 @@ def _sound(file: str) -> "onnx.ModelProto":
             raise LuxloopError(f"detector.file: {file}: holds functions, {model.functions[0].name} the first; export it with these inlined")
         onnx.checker.check_model(file)
     except (OSError, DecodeError, UnicodeDecodeError, onnx.checker.ValidationError) as error:
-        raise LuxloopError(f"detector.file: {file}: is not a valid ONNX file ({said(error)}); export it again") from error
+        raise LuxloopError(f"detector.file: {file}: is not a valid ONNX file ({error_text(error)}); export it again") from error
     zeros = {each.name for each in model.graph.initializer if _has_zero(each)}
     for node in _nodes(model.graph):
         values = {each.name: each for each in node.attribute}
@@ -119,11 +119,11 @@ def _check(model: "onnx.ModelProto", params: OnnxParams) -> None:
     if (width, height) != params.input_px:
         fits = max(width, height) <= MOST_PX
         remedy = f"set detector.input_px = [{width}, {height}]" if fits else f"export it for {MOST_PX} x {MOST_PX} px at most"
-        raise LuxloopError(f"{where}: takes pictures of {width} x {height} px and not {by(params.input_px)}; {remedy}")
+        raise LuxloopError(f"{where}: takes pictures of {width} x {height} px and not {size_text(params.input_px)}; {remedy}")
     for dimension, size in zip(shape.dim, wanted, strict=True):
         dimension.dim_value = size
     afford(
-        f"{where}: the numbers between two of its layers for pictures of {by(params.input_px)} px",
+        f"{where}: the numbers between two of its layers for pictures of {size_text(params.input_px)} px",
         BYTES_A_NUMBER * _most_numbers(model, where),
         "export a smaller network, or one for smaller pictures",
     )
@@ -136,13 +136,13 @@ def _most_numbers(model: "onnx.ModelProto", where: str) -> int:
     try:
         graph = infer_shapes(model, data_prop=True).graph
     except (InferenceError, UnicodeDecodeError) as error:
-        raise LuxloopError(f"{where}: its layers do not fit each other ({said(error)}); export it again") from error
+        raise LuxloopError(f"{where}: its layers do not fit each other ({error_text(error)}); export it again") from error
     shapes = (each.type.tensor_type.shape.dim for each in (*graph.value_info, *graph.output))
     return max((math.prod(size.dim_value for size in shape) for shape in shapes), default=0)
 
 
 def _describe(value: "onnx.ValueInfoProto") -> str:
-    return f"{value.name} ({_number_type(value)} {by(_sizes(value))})"
+    return f"{value.name} ({_number_type(value)} {size_text(_sizes(value))})"
 
 
 def _sizes(value: "onnx.ValueInfoProto") -> tuple[int | str, ...]:

@@ -152,7 +152,7 @@ def test_gradients(form: str, limits: dict[str, float]) -> None:
 def test_bad_input() -> None:
     with refusal("one form"):
         pid_gains([PidParams(), PidParams(form="incremental")])
-    with pytest.raises(ValidationError, match=r"lower = 2.0 must be smaller than upper = 1.0"):
+    with pytest.raises(ValidationError, match=r"upper: 1 is not above lower = 2"):
         PidParams(lower=2.0, upper=1.0)
     with pytest.raises(ValidationError):
         PidParams(rate_limit=0.0)

@@ -11,9 +11,9 @@ from torch.testing import assert_close
 from luxloop.perception.appearance import appearance
 from luxloop.perception.birdseye import Region, birds_eye, rectify, region_around
 from luxloop.perception.camera import CameraParams, camera_view
-from luxloop.perception.extraction import Crop
 from luxloop.world.frames import View
 from luxloop.world.rendering.gbuffer import flat_road
+from luxloop.world.texels import Window
 
 VIEW = camera_view(CameraParams())
 REGION = region_around(17.0, 0.0, 4.0, 2.0)
@@ -64,19 +64,19 @@ def test_an_edge_that_moves_by_a_part_of_a_cell_moves_the_centre_by_as_much() ->
     assert worst[1] > pixel_m, "what the mean is good for"
 
 
-def whole(crop: Crop, part: Tensor) -> Tensor:
+def whole(crop: Window, part: Tensor) -> Tensor:
     image = part.new_zeros(*part.shape[:-2], VIEW.height, VIEW.width)
     image[..., *crop.slices] = part
     return image
 
 
-CROPS = [Crop(380, 500, 560, 720), Crop(400, 401, 600, 640), Crop(0, 720, 600, 700), Crop(379, 720, 400, 1280)]
+CROPS = [Window(380, 500, 560, 720), Window(400, 401, 600, 640), Window(0, 720, 600, 700), Window(379, 720, 400, 1280)]
 each_crop = pytest.mark.parametrize("crop", CROPS, ids=["around", "one row", "columns", "to the border"])
 
 
 @pytest.mark.parametrize("margin_cells", [1, 0])
 @each_crop
-def test_a_crop_is_the_whole_image_with_zeros_around(crop: Crop, margin_cells: int, device: torch.device) -> None:
+def test_a_crop_is_the_whole_image_with_zeros_around(crop: Window, margin_cells: int, device: torch.device) -> None:
     """margin_cells: dark columns of a crop on either side; in a footprint with a margin for unevenness there are four cells of them."""
     plane = birds_eye(REGION, VIEW)
     part = torch.rand(2, crop.v_stop - crop.v_start, crop.u_stop - crop.u_start, generator=torch.Generator().manual_seed(1)).to(device)

@@ -15,14 +15,14 @@ from luxloop.perception.boxes import (
     MEASURED,
     MISSING,
     USUAL_HEIGHTS_M,
-    belonging,
     by_lamps,
     complete,
-    hiding,
+    extend_cut,
+    occluders_of,
+    parts_of,
     place_boxes,
     spread_of,
     standing,
-    uncut,
 )
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.world.frames import transform
@@ -95,16 +95,16 @@ def test_what_is_inside_belongs_to_it_unless_it_is_before_what_is_seen_whole() -
     expected = torch.tensor([[100.0, 100, 140, 200], [100.0, 100, 140, 200]]).double()
     boxes = torch.tensor([[105.0, 130, 135, 199], [105.0, 130, 135, 190], [125.0, 130, 155, 199]]).double()
     wanted = torch.tensor([[True, True, False], [False, True, False]])
-    assert torch.equal(belonging(boxes, expected, torch.tensor([False, True])), wanted)
+    assert torch.equal(parts_of(boxes, expected, torch.tensor([False, True])), wanted)
 
 
 def test_what_the_border_cuts_off_is_as_wide_as_expected() -> None:
     expected = torch.tensor([[100.0, 100, 140, 200]]).double()
     boxes = torch.tensor([[[0.0, 90, 25, 190]], [[620.0, 90, 640, 190]], [[300.0, 90, 325, 190]], [[0.0, 90, 60, 190]]]).double()
     wanted = torch.tensor([[-15.0, 90, 25, 190], [620.0, 90, 660, 190], [300.0, 90, 325, 190], [0.0, 90, 60, 190]]).double()
-    assert_close(uncut(boxes, expected, 640)[:, 0], wanted)
+    assert_close(extend_cut(boxes, expected, 640)[:, 0], wanted)
     both = torch.tensor([[0.0, 90, 640, 300]]).double()
-    assert torch.equal(uncut(both, torch.tensor([[-3.0, 90, 642, 300]]).double(), 640), both)  # no size is made of two guesses
+    assert torch.equal(extend_cut(both, torch.tensor([[-3.0, 90, 642, 300]]).double(), 640), both)  # no size is made of two guesses
 
 
 def test_the_more_is_missing_the_less_a_part_says() -> None:
@@ -117,7 +117,7 @@ def test_the_more_is_missing_the_less_a_part_says() -> None:
 def test_nobody_is_before_what_is_seen_whole() -> None:
     expected = torch.tensor([[100.0, 100, 140, 140], [100.0, 100, 140, 140]]).double()
     boxes = torch.tensor([[80.0, 80, 160, 170], [80.0, 80, 160, 130], [120.0, 80, 200, 170]]).double()
-    assert torch.equal(hiding(boxes, expected, torch.tensor([True, False])), torch.tensor([[True, False, False], [False] * 3]))
+    assert torch.equal(occluders_of(boxes, expected, torch.tensor([True, False])), torch.tensor([[True, False, False], [False] * 3]))
 
 
 TURNED = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5, yaw_deg=3.0))

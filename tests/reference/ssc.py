@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from luxloop.controllers.pixels.mrpc import MrpcParams
+from luxloop.controllers.pixels.pixel_major import MrpcParams
 from luxloop.controllers.pixels.primitives import QUANTITIES, Primitives
 from luxloop.world.headlight import Headlight
 

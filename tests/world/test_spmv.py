@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from luxloop.world.spmv import LARGE, Csr, multiply, numbers, solve, zeros
+from luxloop.world.spmv import LARGE, Csr, multiply, solve, zeros
 from tests.world.spmv_matrices import matrices, random_matrix
 
 
@@ -39,8 +39,7 @@ def test_products_are_those_of_scipy(matrix: sp.csr_array, data: st.DataObject) 
 @given(matrices, st.data())
 def test_a_part_has_the_chosen_rows_and_columns(matrix: sp.csr_array, data: st.DataObject) -> None:
     rows, columns = (sorted(data.draw(st.sets(st.integers(0, n - 1), max_size=n))) if n else [] for n in matrix.shape)
-    number = [numbers(torch.tensor(chosen, dtype=torch.int64), n) for chosen, n in zip((rows, columns), matrix.shape, strict=True)]
-    part = Csr.from_scipy(matrix, torch.float64).part(*number, (len(rows), len(columns)))
+    part = Csr.from_scipy(matrix, torch.float64).part(*(torch.tensor(chosen, dtype=torch.int64) for chosen in (rows, columns)))
     assert (part.n_rows, part.n_cols) == (len(rows), len(columns))
     close(torch.from_numpy(part.to_scipy().toarray()), matrix.toarray()[np.ix_(rows, columns)])
 

@@ -18,7 +18,7 @@ from luxloop.world.materials.brdf import luminance_factor
 from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.rendering.raycast import sees
 from luxloop.world.scene.triangles import Triangles
-from luxloop.world.spmv import Csr, multiply, numbers, row_of_entries, segment_bounds, span_of
+from luxloop.world.spmv import Csr, multiply, row_of_entries, segment_bounds, span_of
 from luxloop.world.texels import bilinear
 
 KEPT_TEXTURES: Final = 2  # of an on and an off exposure
@@ -132,10 +132,11 @@ class Transport:
         """The part `[h * w, m]` from pixellights `[m]` int64, ascending, to a crop `[h, w]` of an image of this width, in px."""
         (v, u), (low, high) = crop, self._rows(slice(crop[0].start * width, crop[0].stop * width))
         row, column = self.index[low:high] // width - v.start, self.index[low:high] % width - u.start
-        inside = (column >= 0) & (column < u.stop - u.start)
-        place = torch.where(inside, row * (u.stop - u.start) + column, -1).int()
-        shape = ((v.stop - v.start) * (u.stop - u.start), len(pixels))
-        return self.matrix.band(low, high).part(place, numbers(pixels, self.matrix.n_cols), shape)
+        inside = torch.nonzero((column >= 0) & (column < u.stop - u.start))[:, 0]
+        place = (row * (u.stop - u.start) + column)[inside]
+        part = self.matrix.band(low, high).part(inside, pixels)
+        begin = torch.searchsorted(place, torch.arange((v.stop - v.start) * (u.stop - u.start) + 1, device=place.device))
+        return Csr(part.indptr[begin], part.indices, part.values, part.n_cols)
 
     def _rows(self, within: slice) -> tuple[int, int]:
         """First row of the matrix and the row after the last whose camera pixels lie within a part of the flat image."""

@@ -1,7 +1,7 @@
 """A Kalman filter of the sprung body and of the road under and ahead of its wheels.
 
-The rear wheels follow the front wheels, and these roll over road that the camera has seen, so most excitation of the body is known
-beforehand.
+The rear wheels follow the front wheels, and the front wheels roll over road that the camera has seen, so most excitation of the body is
+known beforehand.
 """
 
 import math
@@ -42,15 +42,15 @@ def mode_response(rate_hz: float, damping: float, duration_s: float) -> Tensor:
 
 
 @lru_cache(maxsize=64)
-def other(duration_s: float) -> Tensor:
-    """Transition `[3, 3]` of value, rate and acceleration of an oscillator about a constant offset."""
+def disturbance_transition(duration_s: float) -> Tensor:
+    """Transition `[3, 3]` of value, rate and acceleration of a disturbance: an undamped oscillator about a constant offset."""
     return _exponential([[0, 1, 0], [0, 0, 1], [0, -((2 * math.pi * OTHER_HZ) ** 2), 0]], duration_s)
 
 
 @lru_cache(maxsize=64)
-def news(duration_s: float) -> Tensor:
+def process_noise(duration_s: float) -> Tensor:
     """Process noise `[3, 3]` of value, rate and acceleration from jerks of density 1."""
-    ways = torch.stack([other((part + 0.5) * duration_s / PARTS)[:, 2] for part in range(PARTS)])
+    ways = torch.stack([disturbance_transition((part + 0.5) * duration_s / PARTS)[:, 2] for part in range(PARTS)])
     return ways.T @ ways * (duration_s / PARTS)
 
 
@@ -83,14 +83,14 @@ class BodyParams(Params):
 
 @dataclass(frozen=True)
 class BodyFilter:
-    """Estimate of body and road at time_s: mean `[n]` and covariance `[n, n]` of the state, float64 on the CPU.
+    """Kalman estimate of body and road at time_s: mean `[n]` and covariance `[n, n]` of the state, float64 on the CPU.
 
-    Reference is a fixed level plane (`Ego.level_attitude`). State: heave in m, roll and pitch in rad, by the road, and their rates; the
-    same three by other disturbances, their rates and accelerations; pitch in rad at the last processed observation; road height in m along
-    the wheel tracks, mean of both, then left minus right, in cells from start_m on. way_m: distance driven. known_m: way up to which the
-    road was seen. slope_rad: of the ground, assumed beyond. axles_m: x of front and rear axle on the ground. distance_m: of the symbol from
-    the midpoint between them, to convert rise into apparent pitch. observations: pending ones, by time, with the pitch in rad since the one
-    before, None if unknown.
+    Reference is a fixed level plane (`Ego.level_attitude`). State: heave in m, roll and pitch in rad caused by the road, and their rates;
+    heave, roll and pitch caused by other disturbances, their rates and accelerations; pitch in rad at the last processed observation; road
+    height in m along the wheel tracks in cells from start_m on, first the mean of both tracks, then left minus right. way_m: distance
+    driven. known_m: way up to which the camera has seen the road. slope_rad: slope of the ground, assumed beyond known_m. axles_m: x of
+    front and rear axle on the ground. distance_m: distance of the symbol from the midpoint of the axles, which converts rise into apparent
+    pitch. observations: times of pending observations, each with the pitch in rad since the previous one, None if unknown.
     """
 
     params: BodyParams
@@ -108,7 +108,7 @@ class BodyFilter:
 
     @classmethod
     def first(cls, params: BodyParams, ego: Ego, reach_m: float, symbol_x_m: float) -> "BodyFilter":
-        """The estimate after the first measurements, with a strip up to reach_m ahead."""
+        """The estimate after the first measurements, with a road strip up to reach_m ahead."""
         front, rear = 2 * ego.pivot_x_m - ego.rear_x_m, ego.rear_x_m
         start = math.floor((rear - BEHIND_M) / CELL_M) * CELL_M
         count = math.ceil((reach_m - start) / CELL_M)
@@ -132,38 +132,38 @@ class BodyFilter:
 
     @property
     def pitch_rad(self) -> float:
-        """Apparent pitch `[]` at its time, rise included."""
+        """Apparent pitch at time_s: pitch and rise."""
         return float(self._pitch() @ self.mean)
 
     @property
     def level_rad(self) -> float:
-        """Apparent pitch at the last processed observation, by the present estimate."""
+        """Present estimate of the apparent pitch at the last processed observation."""
         return float(self.mean[LEVEL])
 
     def update(self, ego: Ego) -> "BodyFilter":
-        """The estimate after new measurements; older ones than the estimate are ignored."""
+        """The estimate after new measurements; measurements before time_s are ignored."""
         body = self
         for time_s in ego.told_s:
             if time_s > body.time_s:
                 past = tuple(observation for observation in body.observations if observation[0] <= time_s)
                 told = replace(body, speed_m_s=float(ego.speed_m_s), slope_rad=float(ego.ground[1]), observations=past)
-                known = told.caught_up().at(time_s)._measure(ego)
+                known = told.at_last_observation().at(time_s)._measure(ego)
                 body = replace(known, observations=body.observations[len(past) :])
         return body
 
     def with_observation(self, time_s: float, pitched_rad: float | None) -> "BodyFilter":
-        """With a new observation and the body's pitch since the one before."""
+        """The estimate with a pending observation and the body's pitch since the previous observation."""
         return replace(self, observations=(*self.observations, (time_s, pitched_rad)))
 
-    def caught_up(self) -> "BodyFilter":
-        """The estimate at the last observation, with all observations processed."""
+    def at_last_observation(self) -> "BodyFilter":
+        """The estimate after processing all pending observations, at the time of the last."""
         body = self
         for time_s, pitched_rad in self.observations:
             body = body.at(time_s)
             row = body._pitch()
             row[LEVEL] -= 1  # H, pitch now less that of the last observation, [n]
             if pitched_rad is not None:
-                body = body._learnt(row[None], torch.tensor([pitched_rad]).double(), torch.tensor([PITCH_SEEN**2]).double())
+                body = body._correct(row[None], torch.tensor([pitched_rad]).double(), torch.tensor([PITCH_SEEN**2]).double())
             pitch, mean, covariance = body._pitch(), body.mean.clone(), body.covariance.clone()
             mean[LEVEL] = pitch @ body.mean  # x = G x, P = G P G'; row LEVEL of G is the pitch now
             covariance[LEVEL] = covariance[:, LEVEL] = pitch @ body.covariance
@@ -171,34 +171,34 @@ class BodyFilter:
             body = replace(body, mean=mean, covariance=covariance)
         return replace(body, observations=())
 
-    def unknown_m(self) -> Tensor:
-        """Way `[k]` m of the strip's cells that were not seen yet."""
+    def unseen_way_m(self) -> Tensor:
+        """Way `[k]` m of the road cells that the camera has not seen."""
         cells = self._cells()
         return cells[cells > self.known_m + CELL_M / 2]
 
     def with_road(self, way_m: Tensor, heights: Tensor, variance: Tensor) -> "BodyFilter":
-        """The estimate after the road was seen at way `[k]` m: heights `[2, k]` m of left and right track, of variance `[2, k]` m^2."""
+        """The estimate after road heights `[2, k]` m of left and right track at way `[k]` m, with variance `[2, k]` m^2."""
         if not len(way_m):
             return self
         at, none = self._weights(way_m), torch.zeros(len(way_m), len(self._cells()), dtype=torch.float64)
         # H of the left track, mean + difference / 2, and of the right one, mean - difference / 2: [k, n] each.
         rows = [torch.cat([none.new_zeros(len(way_m), BODY), at, side * at / 2], 1) for side in (1, -1)]
-        return replace(self, known_m=float(way_m[-1]))._learnt(torch.cat(rows), exact(heights).flatten(), exact(variance).flatten())
+        return replace(self, known_m=float(way_m[-1]))._correct(torch.cat(rows), exact(heights).flatten(), exact(variance).flatten())
 
     def T_level_body(self, time_s: float) -> Tensor:
-        """Pose `[4, 4]` of the body in the level frame at another time."""
+        """Predicted pose `[4, 4]` of the body in the level frame at a time."""
         body = self._transition(time_s - self.time_s) @ self.mean  # [BODY]
-        return body_pose(_shaken(0, BODY) @ body, self.pivot_x_m)
+        return body_pose(_output_rows(0, BODY) @ body, self.pivot_x_m)
 
     def _measure(self, ego: Ego) -> "BodyFilter":
-        """Update with the measurements of its time."""
-        rows = torch.cat([_shaken(0, len(self.mean)), _shaken(1, len(self.mean))])
+        """Kalman update with the measurements taken at time_s."""
+        rows = torch.cat([_output_rows(0, len(self.mean)), _output_rows(1, len(self.mean))])
         values = torch.cat([exact(ego.level_attitude), exact(ego.rates)])
         times_s = values.new_tensor([ego.attitude_s] * 4 + [ego.rates_s] * 2)  # [6]; the rate of heave is measured with the attitude
         told = (times_s == self.time_s) & values.isfinite()
-        return self._learnt(rows[told], values[told], torch.tensor(NOISE, dtype=torch.float64).square().flatten()[told])
+        return self._correct(rows[told], values[told], torch.tensor(NOISE, dtype=torch.float64).square().flatten()[told])
 
-    def _learnt(self, rows: Tensor, values: Tensor, variance: Tensor) -> "BodyFilter":
+    def _correct(self, rows: Tensor, values: Tensor, variance: Tensor) -> "BodyFilter":
         """Kalman update with measured values z `[k]` of variance r `[k]`; H: `[k, n]`."""
         shared = rows @ self.covariance  # H P [k, n]
         gain = torch.linalg.solve(shared @ rows.T + torch.diag(variance), shared).T  # K = P H' (H P H' + diag r)^-1 [n, k]
@@ -206,17 +206,19 @@ class BodyFilter:
         return replace(self, mean=self.mean + gain @ (values - rows @ self.mean), covariance=(covariance + covariance.T) / 2)
 
     def _pitch(self) -> Tensor:
-        heave, _, pitch = _shaken(0, len(self.mean))
+        heave, _, pitch = _output_rows(0, len(self.mean))
         return pitch - heave / self.distance_m  # H [n]
 
     def at(self, time_s: float) -> "BodyFilter":
-        """Kalman prediction at this speed, `x = F x`, `P = F P F' + Q`; the strip moves by whole cells."""
+        """Kalman prediction to a time at constant speed, `x = F x`, `P = F P F' + Q`; the road strip moves by whole cells."""
         duration_s = time_s - self.time_s
         body, strip = self._transition(duration_s), slice(BODY, None)
         shared = body @ self.covariance  # F P [BODY, n]
         covariance = self.covariance.clone()
         covariance[:BODY, :BODY] = shared @ body.T  # F P F'; Q: jerks of other disturbances, and new road
-        covariance[OTHER, OTHER] += torch.kron(news(max(duration_s, 0.0)), torch.diag(torch.tensor(JERK, dtype=torch.float64).square()))
+        covariance[OTHER, OTHER] += torch.kron(
+            process_noise(max(duration_s, 0.0)), torch.diag(torch.tensor(JERK, dtype=torch.float64).square())
+        )
         covariance[:BODY, strip], covariance[strip, :BODY] = shared[:, strip], shared[:, strip].T
         mean, way_m = torch.cat([body @ self.mean, self.mean[strip]]), self.way_m + self.speed_m_s * duration_s
         count, shift = len(self._cells()), max(math.floor((way_m + self.axles_m[1] - BEHIND_M - self.start_m) / CELL_M), 0)
@@ -229,7 +231,7 @@ class BodyFilter:
         return replace(self, time_s=time_s, way_m=way_m, start_m=self.start_m + shift * CELL_M, mean=mean, covariance=covariance)
 
     def _transition(self, duration_s: float) -> Tensor:
-        """Transition `[BODY, n]` of the body states over a duration at this speed."""
+        """Transition `[BODY, n]` of the body states over a duration at constant speed."""
         share = torch.linspace(0, 1, PARTS + 1, dtype=torch.float64)
         bases = self._bases(self.way_m + self.speed_m_s * duration_s * share)  # [PARTS + 1, 3, 2 * cells]
         found = bases.new_zeros(BODY, len(self.mean))
@@ -237,12 +239,12 @@ class BodyFilter:
             answer, at = mode_response(rate_hz, self.params.damping, duration_s), [mode, 3 + mode]  # [2, 2 + PARTS + 1], value and rate
             found[at, mode], found[at, 3 + mode] = answer[:, 0], answer[:, 1]
             found[at, BODY:] = answer[:, 2:] @ bases[:, mode]
-        found[OTHER, OTHER] = torch.kron(other(duration_s), torch.eye(3, dtype=torch.float64))  # [9, 9]
+        found[OTHER, OTHER] = torch.kron(disturbance_transition(duration_s), torch.eye(3, dtype=torch.float64))  # [9, 9]
         found[LEVEL, LEVEL] = 1
         return found
 
     def _bases(self, way_m: Tensor) -> Tensor:
-        """Inputs of heave, roll and pitch as weights of the strips' cells, `[k, 3, cells of both strips]`, at way `[k]`."""
+        """Road inputs of heave, roll and pitch at way `[k]`, as weights of the cells of both strips, `[k, 3, 2 * cells]`."""
         front, rear = (self._weights(way_m + axle) for axle in self.axles_m)  # [k, cells] each
         none = torch.zeros_like(front)
         heave, pitch = (front + rear) / 2, (rear - front) / (self.axles_m[0] - self.axles_m[1])  # [k, cells] each; nose down is positive
@@ -259,13 +261,13 @@ class BodyFilter:
 
 
 def _walk(count: int) -> Tensor:
-    """Covariance `[count, count]` of a wheel's height along the cells after a known one."""
+    """Covariance `[count, count]` of the road height in the cells after a cell of known height: a random walk."""
     steps = torch.arange(1, count + 1, dtype=torch.float64)
-    return ROUGH_M * CELL_M * torch.minimum(steps[:, None], steps)  # a random walk's
+    return ROUGH_M * CELL_M * torch.minimum(steps[:, None], steps)
 
 
-def _shaken(derivative: int, states: int) -> Tensor:
-    """Output rows `[3, n]` of heave, roll and pitch (or their rates)."""
+def _output_rows(derivative: int, states: int) -> Tensor:
+    """Output matrix `[3, n]` of heave, roll and pitch; derivative: 0 for the values, 1 for their rates."""
     rows = torch.zeros(3, states, dtype=torch.float64)
     for mode in range(3):
         rows[mode, [3 * derivative + mode, 6 + 3 * derivative + mode]] = 1  # contributions of road and other disturbances add up
@@ -273,5 +275,5 @@ def _shaken(derivative: int, states: int) -> Tensor:
 
 
 def exact(values: Tensor) -> Tensor:
-    """In float64 on the CPU, as filters and poses need."""
+    """The values in float64 on the CPU."""
     return values.detach().cpu().double()

@@ -16,18 +16,18 @@ LATER_S = 0.2  # a quarter of a slow oscillation, from its zero crossing to its 
 
 
 @dataclass(frozen=True)
-class Following:
-    """Predicted body at the exposure of the next projection; all poses `[4, 4]`, float64 on the CPU.
+class BodyPrediction:
+    """Predicted poses at the exposure of the next projection, `[4, 4]` float64 on the CPU.
 
-    until: the ground frame of that time in that of the last observation. body: `T_ground_body` then.
+    until: ground frame at that exposure, in the ground frame of the last observation. body: `T_ground_body` at that exposure.
     """
 
     until: Tensor = HERE
     body: Tensor = HERE
 
     @classmethod
-    def of(cls, ego: Ego | None, body: BodyFilter, since_s: float, ground: Tensor) -> "Following":
-        """The prediction by the present estimate. since_s: time of the last observation. ground: `T_level_ground` `[4, 4]` then."""
+    def of(cls, ego: Ego | None, body: BodyFilter, since_s: float, ground: Tensor) -> "BodyPrediction":
+        """The prediction of a body filter. since_s: time of the last observation. ground: `T_level_ground` `[4, 4]` at since_s."""
         if ego is None:
             return cls()
         now = ground_at(ego, ego.time_s)
@@ -38,19 +38,19 @@ class Following:
 
     @property
     def still(self) -> bool:
-        """Whether the vehicle stands on even wheels."""
+        """Whether the vehicle stands on level wheels."""
         return self.body is HERE
 
 
-AT_REST: Final = Following()
+AT_REST: Final = BodyPrediction()
 
 
 @dataclass(frozen=True)
 class BodyPoses:
-    """The body over an observation; all poses `[4, 4]`, float64 on the CPU.
+    """Poses at an observation, `[4, 4]` float64 on the CPU.
 
-    time_s: of the observation's on frame. ground: its ground frame in the level one. since: its ground frame in that of the observation
-    before. on, off: `T_ground_body` of its two frames in its ground frame.
+    time_s: time of the on frame. ground: `T_level_ground` at time_s. since: ground frame at time_s in the ground frame of the previous
+    observation. on, off: `T_ground_body` at on and off frame, both in the ground frame of time_s.
     """
 
     time_s: float = 0.0
@@ -61,16 +61,16 @@ class BodyPoses:
 
     @classmethod
     def of(cls, observation: Observation, body: BodyFilter | None, before_s: float, before: Tensor | None) -> "BodyPoses":
-        """Poses by the present estimate of the body; None: the vehicle stands on even wheels.
+        """Poses estimated by a body filter; None: the vehicle stands on level wheels.
 
-        before_s, before: time_s and ground of the observation before, None where there was none.
+        before_s, before: time_s and ground of the previous observation; None without one.
         """
         then = observation.shown.ego
         if observation.ego is None or then is None or body is None:
             return cls()
         seen_s, on_s = then.time_s, then.on_s
         ground = ground_at(then, seen_s)
-        if then.stands and _rests(body, ground, seen_s) and Following.of(observation.ego, body, seen_s, ground).still:
+        if then.stands and _rests(body, ground, seen_s) and BodyPrediction.of(observation.ego, body, seen_s, ground).still:
             return cls(seen_s, ground)
         T_ground_level, way = inverse(ground), exact(then.way(seen_s - before_s))
         since = inverse(ground if before is None else before) @ way @ ground  # T_ground_level (before) T_before_then T_level_ground (then)
@@ -79,11 +79,11 @@ class BodyPoses:
 
     @property
     def still(self) -> bool:
-        """Whether the vehicle stood on even wheels in the observation."""
+        """Whether the vehicle stood on level wheels at the observation."""
         return self.on.equal(HERE) and self.off.equal(HERE)
 
     def over(self, T_ground_plane: Tensor) -> "BodyPoses":
-        """Poses over a plane at `[4, 4]` in place of the ground, for a standing vehicle."""
+        """Poses in the frame of a plane at `[4, 4]` instead of the ground frame, for a standing vehicle."""
         T = inverse(T_ground_plane)
         return replace(self, on=T @ self.on, off=T @ self.off)
 
@@ -94,7 +94,7 @@ def ground_at(ego: Ego, time_s: float) -> Tensor:
 
 
 def _rests(body: BodyFilter, ground: Tensor, time_s: float) -> bool:
-    """Whether the body is at rest and even at a time, not merely swinging through; heave may swing, as no sensor measures its rate."""
+    """Whether the body is level at a time and still level LATER_S afterwards; its heave may oscillate, as no sensor measures its rate."""
     # Third row of T_ground_body - 1, [4]: to first order -pitch, roll, 0, and heave + pitch times the pivot's x.
     away, later = ((inverse(ground) @ body.T_level_body(t_s) - HERE)[2].abs() for t_s in (time_s, time_s + LATER_S))
     return bool((away < EVEN).all() and (later[:3] < EVEN).all())

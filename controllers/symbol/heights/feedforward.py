@@ -1,4 +1,4 @@
-"""Feed-forward (T 9.4): the open loop, and inverse ray tracing onto a road that is given or measured by structured light (T 3.5.2)."""
+"""Feed-forward (T 9.4): open loop, and inverse ray tracing onto a known road or one measured by structured light (T 3.5.2)."""
 
 import math
 from collections.abc import Callable
@@ -13,11 +13,11 @@ from torch import Tensor
 
 from luxloop.controllers.symbol.heights.forward_model import ForwardModel
 from luxloop.controllers.symbol.heights.height_controller import region_of
-from luxloop.controllers.symbol.heights.height_map import HeightMap, drawn_on
+from luxloop.controllers.symbol.heights.height_map import HeightMap, draw_on
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
 from luxloop.controllers.symbol.sensing.protocol import Observation
-from luxloop.controllers.symbol.sensing.road_shape import HERE, touching
+from luxloop.controllers.symbol.sensing.road_shape import HERE, tangent_plane
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from luxloop.perception.birdseye import Region, cells
 from luxloop.perception.camera import camera_view
@@ -30,7 +30,7 @@ from luxloop.world.roads.shapes import Flat, RoadParams
 
 
 class OpenLoopParams(Params):
-    """No control: always shows the pose that is right on a flat road. The start pose is ignored."""
+    """No control: always shows the pose for a flat road, whatever the start pose."""
 
     name: Literal["open"] = "open"
 
@@ -50,7 +50,7 @@ class OpenLoop:
         return state
 
     def step(self, state: ProjectionCommand, observation: Observation) -> ProjectionCommand:
-        """Nothing changes."""
+        """The state, unchanged."""
         return state
 
 
@@ -65,16 +65,16 @@ LAYERS, HALVINGS = 200, 12  # samples along a line of sight, 1.5 % apart, and bi
 
 
 class FeedforwardParams(Params):
-    """Draws for a given road, or for one measured by a survey at the beginning. Later frames are not used."""
+    """Draws for a known road, or for a road measured by a survey in the first steps. Later frames are not used."""
 
     name: Literal["feedforward"] = "feedforward"
     road: RoadParams = Field(Flat(), description="the road's shape, with the keys of [road]")
     survey: bool = Field(False, description="measure the road with structured light in the first steps, in place of controller.road")
-    offset_m: float = Field(0.0, ge=-0.2, le=0.2, description="added to its heights, to see what a wrong road does")
+    offset_m: float = Field(0.0, ge=-0.2, le=0.2, description="error added to the road's heights, to study a wrong road")
 
 
 class Feedforward(OpenLoop):
-    """Always draws for the given road."""
+    """Always draws for the known road."""
 
     def __init__(self, params: FeedforwardParams, sensor: SymbolSensor) -> None:
         symbol = sensor.projector.params
@@ -82,18 +82,19 @@ class Feedforward(OpenLoop):
             plane = HERE if symbol.target == "appearance" else plane_of(params.road.z, symbol)
             eye = transform(inverse(plane), camera_view(sensor.camera).origin[:, None])[:, 0]
             relief = height_map_of(params.road.z, region_around(sensor), eye, params.offset_m, plane)
-        self.drawn = shown_on(relief, sensor, plane)
+        self.drawn = draw_at_rest(relief, sensor, plane)
 
     def start(self, pose: Tensor) -> ProjectionCommand:
-        """The symbol for the given road, for any pose `[4]`."""
+        """The symbol for the known road, whatever the pose `[4]`."""
         return self.drawn
 
 
 @dataclass(frozen=True)
 class MeasuringState:
-    """next: index of the shown pattern. seen: contrast `[h, w]` in cd/m^2 of each pattern, None while missing.
+    """State of the survey.
 
-    projection: for the measured road, None before.
+    next: index of the shown pattern. seen: contrast `[h, w]` in cd/m^2 of each pattern, None while missing. projection: command for the
+    measured road, None during the survey.
     """
 
     next: int
@@ -102,7 +103,7 @@ class MeasuringState:
 
 
 class MeasuringFeedforward:
-    """Shows each pattern and its inverse once with the first drawing module, triangulates the road, and draws for it from then on."""
+    """Shows Gray code patterns and their inverses with the first drawing module, triangulates the road, and draws for it."""
 
     def __init__(self, params: FeedforwardParams, sensor: SymbolSensor) -> None:
         self.params, self.sensor = params, sensor
@@ -121,7 +122,7 @@ class MeasuringFeedforward:
         )
 
     def start(self, pose: Tensor) -> MeasuringState:
-        """The first pattern, for any pose `[4]`."""
+        """The first pattern, whatever the pose `[4]`."""
         return MeasuringState(0, (None,) * len(self.patterns))
 
     def projection(self, state: MeasuringState, ego: Ego | None) -> ProjectionCommand:
@@ -129,7 +130,7 @@ class MeasuringFeedforward:
         return state.projection or self.patterns[state.next]
 
     def step(self, state: MeasuringState, observation: Observation) -> MeasuringState:
-        """Store the contrast of the shown pattern; repeat missing patterns, since frames may be late or lost; draw when all are there."""
+        """Store the contrast of the shown pattern; repeat patterns whose frames are late or lost; then triangulate the road."""
         if state.projection is not None:
             return state
         seen = list(state.seen)
@@ -142,7 +143,7 @@ class MeasuringFeedforward:
             return MeasuringState(missing, tuple(seen))
         relief = self.relief(tuple(seen))
         relief = replace(relief, heights=relief.heights + self.params.offset_m)
-        return MeasuringState(state.next, tuple(seen), shown_on(relief, self.sensor))
+        return MeasuringState(state.next, tuple(seen), draw_at_rest(relief, self.sensor))
 
     def relief(self, seen: tuple[Tensor | None, ...]) -> HeightMap:
         """The road measured by the contrasts of all patterns."""
@@ -189,25 +190,25 @@ class MeasuringFeedforward:
 
 
 def region_around(sensor: SymbolSensor) -> Region:
-    """Region of the plane that the symbol's light crosses at any height."""
+    """Region of the plane that the symbol's light crosses on roads of any height."""
     return region_of(sensor.projector.params, *BEYOND_M)
 
 
-def shown_on(relief: HeightMap, sensor: SymbolSensor, T_ground_plane: Tensor = HERE) -> ProjectionCommand:
-    """The symbol for a known road over a plane at `[4, 4]`, drawn by a standing vehicle."""
+def draw_at_rest(relief: HeightMap, sensor: SymbolSensor, T_ground_plane: Tensor = HERE) -> ProjectionCommand:
+    """Command of a standing vehicle for a height map relative to a plane at `[4, 4]`."""
     symbol = sensor.projector.params
     lamps = torch.stack([module.T_body_headlight[:3, 3] for module in sensor.projector.modules], 1).to(T_ground_plane)
-    return drawn_on(relief, transform(inverse(T_ground_plane), lamps).T, symbol, T_ground_plane, symbol.target == "place")
+    return draw_on(relief, transform(inverse(T_ground_plane), lamps).T, symbol, T_ground_plane, symbol.target == "place")
 
 
 def plane_of(z: Callable[[Floats, Floats], Floats], symbol: SymbolParams) -> Tensor:
-    """The plane `[4, 4]` that fits a road best under a symbol's target."""
+    """Pose `[4, 4]` of the plane that fits a road best under a symbol's target."""
     along, across = (length * torch.linspace(-0.5, 0.5, SAMPLES, dtype=torch.float64) for length in (symbol.length_m, symbol.width_m))
     x, y = (each.flatten() for each in torch.meshgrid(along, across, indexing="ij"))
     heights = torch.from_numpy(z((symbol.x_m + x).numpy(), (symbol.y_m + y).numpy()))
     slope_x, slope_y, level = torch.linalg.lstsq(torch.stack([x, y, torch.ones_like(x)], 1), heights[:, None]).solution[:, 0]
     at = torch.stack([level.new_tensor(symbol.x_m), level.new_tensor(symbol.y_m), level])
-    return touching(at, slope_x, slope_y, symbol.x_m, symbol.y_m)
+    return tangent_plane(at, slope_x, slope_y, symbol.x_m, symbol.y_m)
 
 
 def height_map_of(
@@ -215,8 +216,8 @@ def height_map_of(
 ) -> HeightMap:
     """The height map of a road for an eye at `[3]` m: lines of sight are followed to their first point below the road.
 
-    z: heights in m at x and y in m (`Road.z`). offset_m: added to them. T_ground_plane: `[4, 4]`, frame of region, eye and returned
-    heights. Lines of sight that meet no road end FARTHEST_M ahead.
+    z: road height in m at x and y in m (`Road.z`). offset_m: added to the height. T_ground_plane: `[4, 4]`, frame of region, eye and
+    returned heights. Lines of sight that meet no road end FARTHEST_M ahead.
     """
     places = cells(replace(region, cell_m=CELL_M))
     eye, ways = eye.double(), places - eye.double()[:, None, None]

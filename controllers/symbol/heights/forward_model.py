@@ -13,11 +13,11 @@ from luxloop.controllers.symbol.sensing.road_shape import HERE
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from luxloop.perception.birdseye import Region
 from luxloop.perception.camera import CameraParams, average_rows, camera_view, luminance_of
-from luxloop.perception.extraction import Crop, Extraction, difference, symbol_image, threshold
+from luxloop.perception.extraction import Extraction, difference, symbol_image, threshold
 from luxloop.world.frames import View, inverse
 from luxloop.world.headlight import Headlight
 from luxloop.world.spmv import Csr, multiply
-from luxloop.world.texels import resample
+from luxloop.world.texels import Window, neighbours, resample
 
 SIGMAS = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 BESIDE_PX = 2  # margin in pixels for interpolation
@@ -26,16 +26,15 @@ DARKNESS_TEXELS = 3.0  # width of a shadow's edge
 
 @dataclass(frozen=True)
 class LampSight:
-    """A module's light along lines of sight: a point at height z has the lamp coordinates `on_plane + z * per_m`, both `[3, H, w]`.
+    """A module's light along lines of sight: the point of a line at height z has lamp coordinates `on_plane + z * per_m`, `[3, H, w]` m.
 
-    factor: `[H, w]`, cd/m^2 on the plane for each cd. origin: `[3]` m, the lamp.
+    factor: `[H, w]`, luminance of the plane in cd/m^2 per cd.
     """
 
     headlight: Headlight
     on_plane: Tensor
     per_m: Tensor
     factor: Tensor
-    origin: Tensor
 
     def luminance(self, texture: Tensor, heights: Tensor) -> Tensor:
         """Luminance `[B, H, w]` in cd/m^2 of a light texture `[rows, cols]` on heights `[B, H, w]` m, shadowed by nearer heights."""
@@ -60,7 +59,7 @@ class ForwardModel:
     """
 
     region: Region
-    crop: Crop
+    crop: Window
     eye: Tensor
     step: int
     samples: int
@@ -85,7 +84,7 @@ class ForwardModel:
         T_on: Tensor = HERE,
         T_off: Tensor = HERE,
     ) -> "ForwardModel":
-        """cell_m: of the nodes, along and across. step, samples: as above. T_on, T_off: `T_ground_body` `[4, 4]` in on and off frame."""
+        """Compute the lines of sight. cell_m: node distances along and across. T_on, T_off: `T_ground_body` `[4, 4]` at both frames."""
         projector, camera = sensor.projector, sensor.camera
         device = projector.symbol.device
         whole = _from(T_on, camera_view(camera))
@@ -95,7 +94,7 @@ class ForwardModel:
         (u0, v0), (u1, v1) = (end.tolist() for end in uv.aminmax(dim=1))
         u0, v0 = max(math.floor(u0), 0), max(math.floor(v0), 0)
         width = (min(math.ceil(u1), whole.width) - u0) // step * step
-        crop = Crop(v0, max(min(math.ceil(v1), camera.height_px), v0), u0, u0 + max(width, 0))
+        crop = Window(v0, max(min(math.ceil(v1), camera.height_px), v0), u0, u0 + max(width, 0))
         rays = whole.within(*crop.slices).with_rows(samples).rays().unflatten(-1, (-1, step)).mean(-1)  # [3, H, w], H = samples * h
         eye = whole.origin
         ground = eye[:, None, None] - rays * (eye[2] / rays[2])  # g, where rays meet z = 0, [3, H, w] m
@@ -108,20 +107,17 @@ class ForwardModel:
             per_m = torch.einsum("ij,jhw->ihw", T[:3, :3], (eye[:, None, None] - ground) / eye[2])
             # albedo cos / (pi d^2) with cos = o_z / d (T eq. 2.1.5), [H, w].
             factor = sensor.model.albedo * origin[2] / (ground - origin[:, None, None]).norm(dim=0) ** 3 / math.pi
-            parts = (part.float().to(device) for part in (on_plane, per_m, factor, origin))
+            parts = (part.float().to(device) for part in (on_plane, per_m, factor))
             lamps.append(LampSight(module.pixel_controller.headlight, *parts))
         middle = average_rows(ground, samples)  # [3, h, w] m
         rows = max(2, round((region.x_far_m - region.x_near_m) / cell_m[0]))
         cols = max(2, round((region.y_left_m - region.y_right_m) / cell_m[1]))
-        down, inside_x = _place(region.x_far_m, region.x_near_m, middle[0], rows)
-        right, inside_y = _place(region.y_left_m, region.y_right_m, middle[1], cols)
-        r0, c0 = down.floor().clamp(max=rows - 2), right.floor().clamp(max=cols - 2)
-        # Upper left node, shares of the lower row and of the right column, [h * w] each.
-        first, a, b = (r0 * cols + c0).long().flatten(), (down - r0).flatten(), (right - c0).flatten()
-        node = torch.stack([first, first + 1, first + cols, first + cols + 1])
-        weight = torch.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b]).float()
-        inside = (inside_x & inside_y).float()
-        node, weight, seen = node.to(device), weight.to(device), inside.to(device)
+        # Shares of the region's length and width, 0..1 inside, [2, h, w].
+        down = (middle[0] - region.x_far_m) / (region.x_near_m - region.x_far_m)
+        right = (middle[1] - region.y_left_m) / (region.y_right_m - region.y_left_m)
+        inside = (down >= 0) & (down <= 1) & (right >= 0) & (right <= 1)
+        node, weight = (each.flatten(1).to(device) for each in neighbours(rows * down, cols * right, rows, cols))
+        weight, seen = weight.float(), inside.float().to(device)
         off = None if T_off.equal(T_on) else _place_in_image(whole, _from(T_off, camera_view(camera)), crop).to(device)  # [2, h, step * w]
         origin, params = eye.float().to(device), sensor.params
         return cls(region, crop, origin, step, samples, tuple(lamps), rows, cols, node, weight, seen, camera, params, off)
@@ -138,11 +134,11 @@ class ForwardModel:
         return contrast, limit
 
     def observe_symbol(self, frames: tuple[Tensor, Tensor], textures: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-        """Contrast and threshold with corrections from the medians of pixels that the symbol leaves dark. textures: of the symbol, one a
+        """Contrast and threshold `[h, w]` in cd/m^2, corrected by the pixels that the symbol leaves dark. textures: symbol's light, one a
         module.
 
-        The change of other light between the frames is subtracted. Noise above the camera's raises the threshold. Without dark pixels
-        neither is corrected.
+        Contrast: less the median change of the other light between the frames. Threshold: raised if the noise exceeds the camera's. No
+        correction without dark pixels.
         """
         contrast, limit, without = self._contrast(frames)
         # Pixels that the symbol leaves dark on the plane, [h, w] bool.
@@ -155,14 +151,14 @@ class ForwardModel:
         return contrast, limit * noise.nan_to_num(1.0).clamp(min=1)
 
     def _contrast(self, frames: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-        """Contrast, threshold, and luminance without the lamps' light."""
+        """Contrast, threshold, and luminance of the off frame, `[h, w]` cd/m^2 each."""
         on, off = frames[0][self.crop.slices], self._compensate(frames[1])
         images = torch.stack([difference(on, off, self.camera), threshold(off, self.camera, self.params), luminance_of(off, self.camera)])
         contrast, limit, without = avg_pool2d(images[:, None], (1, self.step))[:, 0]  # means of step columns, [h, w] each
         return contrast, limit, without
 
     def _compensate(self, off: Tensor) -> Tensor:
-        """The off frame `[height, width]`, warped to the camera pose of the on frame, cut at the crop."""
+        """The off frame `[height, width]` in the crop, warped to the camera pose of the on frame."""
         if self.off_place is None:
             return off[self.crop.slices]
         u, v = self.off_place[:, None]  # [1, h, step * w] each
@@ -176,7 +172,7 @@ class ForwardModel:
         return resample(seen[None, None], u, v, "border")[0, 0]
 
     def on_pixels(self, nodes: Tensor) -> Tensor:
-        """Values of nodes `[..., n]` at the pixels, `[..., h, w]`."""
+        """Node values `[..., n]` interpolated at the pixels, `[..., h, w]`."""
         return multiply(self.bilinear, nodes).unflatten(-1, self.shape)
 
     @cached_property
@@ -202,19 +198,13 @@ class ForwardModel:
 
 
 def _from(T_ground_body: Tensor, view: View) -> View:
-    """A standing vehicle's view, moved to the pose of the body."""
+    """The view of a standing vehicle, moved to a pose `[4, 4]` of the body."""
     return replace(view, T_world_view=T_ground_body @ view.T_world_view)
 
 
-def _place_in_image(view: View, other: View, crop: Crop) -> Tensor:
+def _place_in_image(view: View, other: View, crop: Window) -> Tensor:
     """Places `[2, h, w]` in another view's image, -1 to 1 over it, of the plane points in a crop of a view."""
     rays = view.within(*crop.slices).rays().flatten(1)
     uv, _ = other.project(view.origin[:, None] - rays * (view.origin[2] / rays[2]))  # of where rays meet z = 0, [2, h * w] px
     size = uv.new_tensor([[other.width], [other.height]])
     return (2 * uv / size - 1).float().unflatten(1, (crop.v_stop - crop.v_start, -1))
-
-
-def _place(start: float, stop: float, at: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Continuous index of places among count cells from start to stop, clamped, and whether they lie in this range."""
-    share = (at - start) / (stop - start)
-    return (share * count - 0.5).clamp(0, count - 1), (share >= 0) & (share <= 1)

@@ -1,4 +1,4 @@
-"""luxloop's controller: registers the road's heights from the symbol's image, and draws for that road if it explains the image."""
+"""luxloop's controller: estimates the road's heights from the image of the symbol, and draws the symbol for the estimated road."""
 
 import math
 from dataclasses import dataclass, replace
@@ -9,9 +9,9 @@ from pydantic import Field
 from torch import Tensor
 
 from luxloop.controllers.symbol.heights.body_filter import BodyFilter, BodyParams
-from luxloop.controllers.symbol.heights.body_poses import AT_REST, BodyPoses, Following, ground_at
+from luxloop.controllers.symbol.heights.body_poses import AT_REST, BodyPoses, BodyPrediction, ground_at
 from luxloop.controllers.symbol.heights.forward_model import ForwardModel
-from luxloop.controllers.symbol.heights.height_map import drawn_on
+from luxloop.controllers.symbol.heights.height_map import draw_on
 from luxloop.controllers.symbol.heights.registration import HEIGHT_M, ITERATIONS, Heights, Registration, plane_sweep
 from luxloop.controllers.symbol.heights.road_map import RoadMap
 from luxloop.controllers.symbol.sensing.field import aim, elsewhere
@@ -31,46 +31,53 @@ from luxloop.world.params import NotNegative, Params
 from luxloop.world.scene.vehicle import LEARNT_M
 
 LEAST_LIT_PX = 20.0  # least lit pixels of a symbol
-HEIGHTS = 57  # that a sweep tries
-SEEN_BY = 0.05  # of the usual illuminance: a node with more has a measured brightness
+HEIGHTS = 57  # number of heights of a plane sweep
+LEAST_LIGHT = 0.05  # of the mean expected light: weight of the previous brightness of a node
 LOW_M = {"appearance": 0.1, "place": 0.03}  # heights up to here are registered without relocalisation, by kind of target
 POOR, SEARCHES = 0.08, 4  # residual above which the whole image is searched again, and most searches for one road
-UNEVEN = 0.03  # residual of the known road above which registration replaces another search
+POOR_ROAD = 0.03  # residual of the known road above which registration replaces another search
 SAME_M = 0.05  # largest difference of the heights of two searches under the target for the second to be the last
-FALLEN = (-0.3, -0.03, 0.0, 0.0)  # guessed road shape for a symbol that is nowhere in the image
-FARTHEST = 3.0  # of the distance to the plane z = 0: end of lines of sight that meet no acquired road
+FALLING_ROAD = (-0.3, -0.03, 0.0, 0.0)  # guessed road shape for a symbol that is not in the image
+FARTHEST = 3.0  # of the distance to the plane z = 0: end of lines of sight that meet no road
 ROAD_M = 4e-3  # least deviation of a track's height
 PITCH_RAD = 5e-4  # standard deviation of a predicted pitch
-ROUNDING_S = 1e-6  # of times that are equal
+ROUNDING_S = 1e-6  # tolerance of equal times
 
 Cell = Annotated[float, Field(ge=0.02, le=10)]
 Reach = Annotated[float, Field(ge=0, le=20)]
 
 
 class HeightControllerParams(Params):
-    """Registers the road's heights from the symbol's image and draws for that road; the open loop if the heights explain nothing."""
+    """Estimates the road's heights from the image of the symbol and draws for that road; open loop while heights explain nothing."""
 
     name: Literal["luxloop"] = "luxloop"
     cell_m: tuple[Cell, Cell] = Field((0.2, 0.15), description="distance of heights on the assumed road, along and across")
-    beyond_m: tuple[Reach, Reach, Reach] = Field((1.2, 1.5, 0.6), description="how far heights go beyond the symbol: near, far, sides")
-    highest_m: float = Field(0.14, gt=0, le=0.3, description="largest height, up or down, that is looked for")
-    memory: float = Field(0.6, ge=0, lt=1, description="share of what is known that a step on the move keeps; the rest may have changed")
-    evidence: NotNegative = Field(0.0025, description="share of the symbol that heights have to explain beyond what the flat road does")
-    sweep_above: NotNegative = Field(0.01, description="share of the symbol that may stay unexplained before all heights are tried anew")
-    start_height_m: float = Field(
-        0.0, ge=-0.3, le=0.3, description="height that the whole road is taken to have at first; 0: nothing is known"
+    beyond_m: tuple[Reach, Reach, Reach] = Field(
+        (1.2, 1.5, 0.6), description="margin of the height map around the symbol: near, far, sides"
     )
-    body: BodyParams = Field(BodyParams(), description="what the controller believes of its car's springs and wheels")
+    highest_m: float = Field(0.14, gt=0, le=0.3, description="largest height, up or down, that the plane sweep tries")
+    memory: float = Field(
+        0.6,
+        ge=0,
+        lt=1,
+        description="factor on the information of the height map in each step on the move, since the road may differ from the map",
+    )
+    evidence: NotNegative = Field(
+        0.0025, description="least drop of the residual, as a share of the lit area, by which heights must better a flat road"
+    )
+    sweep_above: NotNegative = Field(0.01, description="residual, as a share of the lit area, above which a plane sweep tries all heights")
+    start_height_m: float = Field(0.0, ge=-0.3, le=0.3, description="initial height of the whole road; 0: unknown")
+    body: BodyParams = Field(BodyParams(), description="the controller's model of the car's springs and wheels")
 
 
 @dataclass(frozen=True)
 class HeightControllerState:
-    """road_map: in the ground frame of time_s; None before the first observation. ground: pose of that frame in the level one. body: its
-    filter then, if measured.
+    """State after an observation.
 
-    projection: of a standing vehicle; None on the move, where it depends on later measurements. level_rad: body pitch on which the road
-    map's heights are based. first: the first drawing for an acquired road, None once observed. sought: whether the symbol was seen, or a
-    road was guessed for it.
+    road_map: heights in the ground frame of time_s. projection: command of a standing vehicle; None on the move, where the command depends
+    on later measurements. body: body filter, None without measurements. level_rad: body pitch to which the heights of the road map refer.
+    first: first command for a relocalised road, None after its observation. sought: whether the symbol was seen or a road was guessed.
+    ground: `T_level_ground` `[4, 4]` at time_s.
     """
 
     road_map: RoadMap
@@ -84,7 +91,7 @@ class HeightControllerState:
 
 
 class HeightController:
-    """Registers the heights of a road, also while driving over it; supervised by the open loop."""
+    """Estimates the heights of a road at rest and on the move, and falls back to the open loop."""
 
     def __init__(self, params: HeightControllerParams, sensor: SymbolSensor) -> None:
         self.params, self.projector, self.sensor = params, sensor.projector, sensor
@@ -100,7 +107,7 @@ class HeightController:
         self.tried = torch.linspace(-params.highest_m, params.highest_m, HEIGHTS, device=self.projector.symbol.device)
 
     def start(self, pose: Tensor) -> HeightControllerState:
-        """State that first shows the pose `[4]`, or the symbol for the assumed road."""
+        """Initial state. pose: `[4]`, first pose of the symbol unless the road has a start height."""
         road_map = self.nothing
         if self.params.start_height_m == 0:
             return HeightControllerState(road_map, 0.0, ProjectionCommand(pose))
@@ -109,26 +116,26 @@ class HeightController:
         return HeightControllerState(believed, 0.0, self._draw(believed))
 
     def projection(self, state: HeightControllerState, ego: Ego | None) -> ProjectionCommand:
-        """The symbol for the known road, from the predicted pose of the body."""
+        """The command for the estimated road and the predicted pose of the body."""
         if state.projection is not None:
             return state.projection
         body = self._filter(state.body, ego)
         assert ego is not None and body is not None  # or it would stand
-        now = body.caught_up()
+        now = body.at_last_observation()
         road_map = state.road_map.tilt(now.level_rad - state.level_rad, body.pivot_x_m)
         ground = ground_at(ego, state.time_s) if state.ground is None else state.ground
-        return self._draw(road_map, Following.of(ego, now, state.time_s, ground))
+        return self._draw(road_map, BodyPrediction.of(ego, now, state.time_s, ground))
 
     def step(self, state: HeightControllerState, observation: Observation) -> HeightControllerState:
-        """Register the observation. The open loop's drawing is shown unless heights explain it better than a flat road does.
+        """Update body filter and road map. The open loop stays unless heights explain the image better than a flat road.
 
-        The known road gives the body's pitch since the observation before, and the road ahead of the wheels.
+        The road map yields the body's pitch since the previous observation, and the road ahead of the wheels.
         """
         body, then = state.body, observation.shown.ego
         for ego in (then, observation.ego):  # process measurements newer than the observation after it
             if ego is not None and then is not None and ego.told_s[-1] < then.time_s + ROUNDING_S:
                 body = self._filter(body, ego)
-        now = None if body is None else body.caught_up()
+        now = None if body is None else body.at_last_observation()
         body_poses = BodyPoses.of(observation, now, state.time_s, state.ground)
         road_map, first, sought = state.road_map, state.first, state.sought or bool(observation.measurement.code == ExtractionStatus.SEEN)
         if anew := observation.frames is not None and first is not None and observation.shown.projection.shows(first):
@@ -140,10 +147,10 @@ class HeightController:
             registration = self._fine(body_poses)
         road_map = road_map.move(body_poses.since, registration.forward_model.eye)
         if not body_poses.still and then is not None and body is not None and not then.stands:
-            road_map = road_map.over(self._heights(self._bent(then, body), road_map))
+            road_map = road_map.over(self._heights(self._curved_shape(then, body), road_map))
         if body is None or now is None or body_poses.still:
             road_map = self._observe(registration, road_map, observation, body_poses, anew)
-            if body_poses.still and not road_map.heights.any_information and (guess := self._guess(state, observation)) is not None:
+            if body_poses.still and not road_map.heights.any_information and (guess := self._guess_road(state, observation)) is not None:
                 road_map, sought = guess, True
         else:
             road_map = road_map.tilt(now.level_rad - state.level_rad, body.pivot_x_m)
@@ -152,7 +159,7 @@ class HeightController:
                 road_map = self._observe(registration, known.loosen(PITCH_RAD, body.pivot_x_m), observation, body_poses)
                 pitched = road_map.pitch_between(known, body.pivot_x_m)
                 body = body.with_observation(body_poses.time_s, None if pitched is None else predicted + pitched - now.level_rad)
-                now = body.caught_up()
+                now = body.at_last_observation()
                 road_map = road_map.tilt(now.level_rad - predicted, body.pivot_x_m)
         if body is not None and observation.ego is not None and road_map.T_ground_plane.equal(HERE):
             body = _preview(body, road_map, body_poses, observation.ego)
@@ -164,7 +171,7 @@ class HeightController:
         return HeightControllerState(road_map, body_poses.time_s, projection, body, level_rad, first, sought, body_poses.ground)
 
     def _filter(self, before: BodyFilter | None, ego: Ego | None) -> BodyFilter | None:
-        """The body filter after a measurement; None without measurements or axle positions."""
+        """The body filter after the measurements of the motion; unchanged without measurements or axle positions."""
         if ego is None or ego.pivot_x_m == ego.rear_x_m:
             return before
         return BodyFilter.first(self.params.body, ego, self.reach_m, self.projector.params.x_m) if before is None else before.update(ego)
@@ -172,7 +179,7 @@ class HeightController:
     def _observe(
         self, registration: Registration, road_map: RoadMap, observation: Observation, body_poses: BodyPoses, anew: bool = False
     ) -> RoadMap:
-        """The road map after an observation; empty if heights do not explain it. anew: first observation of light for an acquired road."""
+        """The road map after an observation; empty if heights do not explain the image. anew: first observation for a relocalised road."""
         if observation.frames is None:
             return road_map
         frames, textures, searched = observation.frames, self.projector.textures(observation.shown.lights), road_map.searched
@@ -207,7 +214,7 @@ class HeightController:
             swept = self._sweep(road_map, frames, textures, body_poses)
             again = self._refine(registration, known, swept, seen, textures, limit)
             least, best = min((least, best), again, key=lambda each: each[0])
-        road_map = replace(road_map, settled=road_map.settled or before > UNEVEN)
+        road_map = replace(road_map, settled=road_map.settled or before > POOR_ROAD)
         if least > POOR and body_poses.still and road_map.searched == searched < SEARCHES:
             if (acquired := self._relocalise(road_map, observation)) is not None:
                 return acquired
@@ -237,9 +244,7 @@ class HeightController:
         return float(registration.residual(found.mean[None], seen, textures, limit)[0]), found
 
     def _relocalise(self, road_map: RoadMap, observation: Observation) -> RoadMap | None:
-        """The road found by the symbol's place in the whole image; None if a road near the plane may explain it, which registration finds
-        itself.
-        """
+        """The road from the symbol's place in the whole image; None if its heights are small enough for registration alone."""
         assert observation.frames is not None
         symbol = self.projector.params
         found = observation.measurement.acquired or self.sensor.relocalise(observation.frames, observation.shown.lights)
@@ -247,20 +252,21 @@ class HeightController:
             return None
         return self._road_of_shape(road_map, found.shape)
 
-    def _guess(self, state: HeightControllerState, observation: Observation) -> RoadMap | None:
-        """A guessed road for a symbol that is not in the image, though drawn for the assumed road.
+    def _guess_road(self, state: HeightControllerState, observation: Observation) -> RoadMap | None:
+        """A guessed road for a drawn symbol that is not in the image.
 
-        Half as high or low as the assumed road; after a flat road a falling one, unless the symbol was seen before and is thus hidden.
+        Its heights are half those of the assumed road. For a flat assumed road the guess is a falling road, or None if the symbol was seen
+        before, since it is then hidden.
         """
         lost, before = observation.measurement.acquired, state.road_map.shape
         if lost is None or lost.found or state.projection is None or not observation.shown.projection.shows(state.projection):
             return None
         if before is not None:
             return self._road_of_shape(state.road_map, before / 2) if state.road_map.searched < SEARCHES else None
-        return None if state.sought or lost.match else self._road_of_shape(state.road_map, self.projector.target.new_tensor(FALLEN))
+        return None if state.sought or lost.match else self._road_of_shape(state.road_map, self.projector.target.new_tensor(FALLING_ROAD))
 
     def _road_of_shape(self, before: RoadMap, shape: Tensor) -> RoadMap:
-        """A road map of a road of shape `[4]`, over the plane on which the symbol is aimed there."""
+        """The road map of a road of shape `[4]`, relative to the plane of the symbol on that road."""
         symbol = self.projector.params
         rise = float((shape - (0 if before.shape is None else before.shape)) @ shape.new_tensor([1.0, 0.0, symbol.y_m, 0.0]))
         plane = aim(shape, symbol, self.projector.modules, self.ends[:, 0])
@@ -268,9 +274,9 @@ class HeightController:
         believed = _assume_heights(nothing, self._heights(shape, nothing))
         return replace(believed, shape=shape, searched=before.searched + 1, settled=abs(rise) < SAME_M)
 
-    def _bent(self, ego: Ego, body: BodyFilter) -> Tensor:
-        """Shape `[4]` of a road with the ground's vertical curvature (slope rate over speed); flat until the vehicle has driven so far that
-        the ground follows the road.
+    def _curved_shape(self, ego: Ego, body: BodyFilter) -> Tensor:
+        """Shape `[4]` of a road with the ground's vertical curvature, the slope rate over the speed; flat before the vehicle has driven
+        LEARNT_M.
         """
         if body.way_m < LEARNT_M:
             return torch.zeros_like(self.projector.target)
@@ -290,16 +296,16 @@ class HeightController:
         seen, limit = coarse.symbol(contrast, limit), limit / coarse.on_pixels(road_map.brightness)
         return plane_sweep(coarse, seen, textures, limit, self.tried, road_map.heights.base)
 
-    def _draw(self, road_map: RoadMap, following: Following = AT_REST) -> ProjectionCommand:
-        """The symbol for the known road, from the predicted pose of the body."""
+    def _draw(self, road_map: RoadMap, prediction: BodyPrediction = AT_REST) -> ProjectionCommand:
+        """The command for the estimated road and the predicted pose of the body."""
         symbol, plane = self.projector.params, road_map.T_ground_plane
-        T_plane_body = following.body if plane.equal(HERE) else inverse(plane) @ following.body
+        T_plane_body = prediction.body if plane.equal(HERE) else inverse(plane) @ prediction.body
         T_body_plane = inverse(T_plane_body)
         if not (road_map.heights.any_information or road_map.heights.base.any()):
-            return laid(self.projector.target, T_body_plane)
+            return flat_command(self.projector.target, T_body_plane)
         ends = transform(T_plane_body, self.ends).T.to(road_map.eye)
-        relief = road_map.relief_from(following.until, ends[0])
-        projection = drawn_on(relief, ends[1:], symbol, T_body_plane, symbol.target == "place" or not plane.equal(HERE))
+        relief = road_map.relief_from(prediction.until, ends[0])
+        projection = draw_on(relief, ends[1:], symbol, T_body_plane, symbol.target == "place" or not plane.equal(HERE))
         return replace(projection, aim=elsewhere(plane, symbol))
 
     def _nothing(self, registration: Registration) -> RoadMap:
@@ -327,8 +333,8 @@ class HeightController:
 
 
 def _preview(body: BodyFilter, road_map: RoadMap, body_poses: BodyPoses, ego: Ego) -> BodyFilter:
-    """The body filter with the known road ahead of the wheels, once it has left the light."""
-    way_m, driven_m = body.unknown_m(), body.way_m + body.speed_m_s * (body_poses.time_s - body.time_s)
+    """The body filter after the road map's heights between the wheels and the light."""
+    way_m, driven_m = body.unseen_way_m(), body.way_m + body.speed_m_s * (body_poses.time_s - body.time_s)
     x = (way_m - driven_m).to(road_map.eye)
     aside = ego.yaw_rate_rad_s / ego.speed_m_s.clamp(min=1.0) * (x - ego.rear_x_m) ** 2 / 2
     half_m = body.params.track_m / 2
@@ -338,12 +344,12 @@ def _preview(body: BodyFilter, road_map: RoadMap, body_poses: BodyPoses, ego: Eg
 
 
 def _assume_heights(road_map: RoadMap, heights: Tensor) -> RoadMap:
-    """A road map with assumed heights `[n]`, until they are observed."""
+    """The road map with assumed heights `[n]` and their usual variance."""
     return replace(road_map, heights=Heights(heights, torch.eye(len(heights)).to(heights) / HEIGHT_M**2, heights))
 
 
-def laid(target: Tensor, T_body_ground: Tensor) -> ProjectionCommand:
-    """The undistorted symbol, in the body frame, at a target pose `[4]` flat on the ground."""
+def flat_command(target: Tensor, T_body_ground: Tensor) -> ProjectionCommand:
+    """Command of the undistorted symbol, in the body frame, for a target pose `[4]` flat on the ground."""
     if T_body_ground.equal(HERE):
         return ProjectionCommand(target)
     centre = T_body_ground.new_tensor([float(target[0]), float(target[1]), 0.0])
@@ -354,18 +360,18 @@ def laid(target: Tensor, T_body_ground: Tensor) -> ProjectionCommand:
 def _brightness(
     fine: ForwardModel, heights: Tensor, before: Tensor, contrast: Tensor, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor
 ) -> Tensor:
-    """Brightness `[n]` of the nodes, from the light that falls on these heights.
+    """Brightness `[n]` of the nodes: measured contrast over expected luminance on these heights.
 
-    limit: `[h, w]` cd/m^2. Pixels with less expected light are ignored, as they show other light.
+    limit: `[h, w]` cd/m^2, least expected luminance of a pixel that counts.
     """
     expected = fine.luminance(textures, fine.on_pixels(heights)[None])[0]
     lit = (seen > 0.5) & (expected > limit)
     there, usual = fine.on_nodes(torch.stack([contrast, expected]) * lit)
-    guess = SEEN_BY * usual.mean()
+    guess = LEAST_LIGHT * usual.mean()
     return torch.where(usual + guess > 0, (there + guess * before) / (usual + guess), before)
 
 
 def region_of(symbol: SymbolParams, near_m: float, far_m: float, side_m: float) -> Region:
-    """The plane around a symbol at its target."""
+    """Region of the plane around a symbol at its target, with margins in m."""
     half, left = symbol.length_m / 2, symbol.width_m / 2 + side_m
     return Region(max(symbol.x_m - half - near_m, 1.0), symbol.x_m + half + far_m, symbol.y_m + left, symbol.y_m - left)

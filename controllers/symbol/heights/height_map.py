@@ -9,7 +9,13 @@ from torch.nn.functional import grid_sample, interpolate
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
-from luxloop.controllers.symbol.sensing.road_shape import LEAST_HEIGHT_M, below_lamps, cells_of_rectangle, holding, pose_of_rectangle
+from luxloop.controllers.symbol.sensing.road_shape import (
+    LEAST_HEIGHT_M,
+    below_lamps,
+    bounding_rectangle,
+    cells_of_rectangle,
+    pose_of_rectangle,
+)
 from luxloop.perception.birdseye import Region
 from luxloop.world.frames import inverse, pose, transform
 
@@ -20,10 +26,10 @@ LEAST_DROP_M = 0.05  # least drop from the eye to a visible point
 
 @dataclass(frozen=True)
 class HeightMap:
-    """Heights and brightness seen by an eye at `[3]` m behind the cells of a region of the plane; row 0 is far, column 0 is left.
+    """Road heights along lines of sight of an eye at `[3]` m through the cells of a region of the plane; row 0 is far, column 0 left.
 
-    heights: `[rows, cols]` m. brightness: `[rows, cols]`, luminance relative to the plane in the same light. Cells are places where lines
-    of sight meet the plane, not the surface, so none is hidden from the eye. Beyond the region its border continues.
+    heights: `[rows, cols]` m. brightness: `[rows, cols]`, luminance relative to the plane in the same light. The cells lie on the plane,
+    not on the road, so that every cell is visible. Beyond the region the values at its border continue.
     """
 
     region: Region
@@ -32,21 +38,21 @@ class HeightMap:
     brightness: Tensor
 
     def at(self, values: Tensor, x: Tensor, y: Tensor, beyond: str = "border") -> Tensor:
-        """Values `[rows, cols]` at points `[h, w]` of the plane, bilinear. beyond: padding outside of the region."""
+        """Values `[rows, cols]` of the cells, interpolated at points `[h, w]` of the plane. beyond: padding outside the region."""
         r = self.region
         u = 2 * (r.y_left_m - y) / (r.y_left_m - r.y_right_m) - 1
         v = 2 * (r.x_far_m - x) / (r.x_far_m - r.x_near_m) - 1  # -1..1 from border to border
         return grid_sample(values[None, None], torch.stack([u, v], -1)[None], padding_mode=beyond, align_corners=False)[0, 0]
 
     def points(self, x: Tensor, y: Tensor) -> Tensor:
-        """The road's points `[3, ...]` m behind points of the plane."""
+        """Points `[3, ...]` m of the road on the lines of sight through points of the plane."""
         x, y = torch.broadcast_tensors(x, y)
         h, eye = self.at(self.heights, x.reshape(1, -1), y.reshape(1, -1)).view_as(x), self.eye.to(x)  # h [...] m
         place = torch.stack([x, y, torch.zeros_like(x)])
         return place + (eye.view(3, *(1,) * x.dim()) - place) * (h / eye[2])  # where lines of sight are at height h
 
     def under(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Height `[h, w]` m of the road at its own x and y `[h, w]`, and the points `[2, h, w]` of the plane in front of it."""
+        """Road height `[h, w]` m at ground coordinates x and y `[h, w]` m, and the plane points `[2, h, w]` on the same lines of sight."""
         eye, place = self.eye.to(x), torch.stack([x, y])
         heights = torch.zeros_like(x)
         for _ in range(ROUNDS):  # damped by half, or steep drops would oscillate
@@ -56,10 +62,10 @@ class HeightMap:
         return heights, behind
 
     def seen_from(self, lamp: Tensor, points: Tensor, normal: Tensor, deepest_m: float) -> tuple[Tensor, Tensor]:
-        """Places x, y `[h, w]` on the plane where the eye sees a lamp's light towards points `[3, h, w]` m of a patch. lamp: `[3]` m.
+        """Plane points x, y `[h, w]` at which the eye sees the light of a lamp at `[3]` m that passes points `[3, h, w]` m of a patch.
 
-        normal: `[3]`, unit, of the patch. The light is followed from deepest_m above the patch to as far below it, to the first point under
-        the road's surface.
+        normal: `[3]`, unit normal of the patch. Light paths are followed from deepest_m above the patch to deepest_m below it, up to the
+        first point below the road.
         """
         lamp, eye = lamp.to(points), self.eye.to(points)
         over_patch = ((lamp[:, None, None] - points) * normal[:, None, None]).sum(0)  # [h, w] m, the same everywhere
@@ -78,7 +84,7 @@ class HeightMap:
         return x_seen, y_seen
 
     def _layers(self, h: Tensor, lamp: Tensor, over_patch: Tensor, points: Tensor) -> Tensor:
-        """The layers `[n, 1, 1]` that the road may cross, with one more above and below."""
+        """The layers `[n, 1, 1]` between the highest and lowest road height, and one more above and below."""
         ends = torch.stack(points[2].aminmax())  # lowest and highest point of the patch, [2] m
         z = ends + (lamp[2] - ends) * (h[:, None] / over_patch[0, 0])  # of each layer, [layers, 2] m
         least, most = self.heights.aminmax()
@@ -94,12 +100,12 @@ HIGHEST_M = 0.2  # height of a road above which the patch is fitted to it
 LEAST_DEPTH_M = 0.05  # least search range above and below a fitted patch
 
 
-def drawn_on(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, T_body_ground: Tensor, in_place: bool = False) -> ProjectionCommand:
-    """The symbol on a rectangle on the road, warped so that the eye sees on the relief the same image as on the plane.
+def draw_on(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, T_body_ground: Tensor, in_place: bool = False) -> ProjectionCommand:
+    """Inverse ray tracing: the symbol on a rectangle, warped so that the eye sees the same image on the road as on the plane.
 
-    lamps: `[m, 3]` m. T_body_ground: `[4, 4]`; relief and lamps are in the ground frame, the projection is in that of the body. A cell
-    takes the symbol's value at the point of the plane where the eye sees the cell's light, or, with in_place, at the lit point itself.
-    Cells brighter than the plane would be are dimmed.
+    relief: height map in the ground frame. lamps: `[m, 3]` m in the ground frame. T_body_ground: `[4, 4]`, for the command in the body
+    frame. A cell of the rectangle takes the symbol's value at the plane point where the eye sees the cell's light; with in_place, at the
+    lit road point. Cells that appear brighter than on the plane are dimmed.
     """
     lamps = lamps.to(relief.heights)
     T, size_m, depth_m = _patch(relief, lamps, symbol, in_place)
@@ -119,10 +125,10 @@ def drawn_on(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, T_body_grou
 
 
 def _patch(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, in_place: bool) -> tuple[Tensor, tuple[float, float], float]:
-    """A rectangle that contains all of the symbol's light: on the plane z = 0, else on the plane that fits the road best.
+    """A rectangle that all light of the symbol crosses: on the plane z = 0 if possible, else on the plane that fits the road best.
 
-    Returns its pose `[4, 4]`, length and width, and the largest distance of the road above or below it, in m. The plane z = 0 is preferred,
-    since edges across and along the road stay aligned with its cells.
+    Returns pose `[4, 4]`, length and width in m, and the search range above and below the rectangle in m. On z = 0 the cells stay aligned
+    with edges along and across the road.
     """
     along, across = (torch.linspace(-0.5, 0.5, n).to(lamps) for n in SAMPLES)
     # The symbol's points, [33, 17] m each.
@@ -132,17 +138,15 @@ def _patch(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, in_place: boo
     reach = lamps.new_tensor([length * (0.5 + beyond) for length, beyond in zip(size, BEYOND, strict=True)])
     low, high, depth = _crossings(level, road, lamps)
     if depth < HIGHEST_M and bool((low > -reach).all() & (high < reach).all()):
-        return *holding(level, low, high), HIGHEST_M
+        return *bounding_rectangle(level, low, high), HIGHEST_M
     T = _fit(road, lamps)
     low, high, depth = _crossings(T, road, lamps)
-    return *holding(T, low, high), depth + LEAST_DEPTH_M
+    return *bounding_rectangle(T, low, high), depth + LEAST_DEPTH_M
 
 
 def _crossings(T: Tensor, road: Tensor, lamps: Tensor) -> tuple[Tensor, Tensor, float]:
-    """Bounds of the crossings of light paths to points `[3, k]` with a patch's plane at `[4, 4]`: least and greatest x and y, `[2]` m, in
-    its frame.
-
-    The last value is the points' largest distance from the plane.
+    """Where light paths to road points `[3, k]` m cross a plane at `[4, 4]`: least and greatest x, y `[2]` m in the plane's frame, and the
+    largest distance of the points from the plane in m.
     """
     local, origins = transform(inverse(T), road), transform(inverse(T), lamps.T).T  # [3, k], [m, 3]
     fall = (origins[:, 2:] - local[2]).clamp(min=LEAST_HEIGHT_M)
@@ -151,7 +155,7 @@ def _crossings(T: Tensor, road: Tensor, lamps: Tensor) -> tuple[Tensor, Tensor, 
 
 
 def _fit(road: Tensor, lamps: Tensor) -> Tensor:
-    """Pose `[4, 4]` on the plane that fits points `[3, k]` best, no steeper than lamps can light it."""
+    """Pose `[4, 4]` on the plane that fits road points `[3, k]` best, made less steep if needed so that lamps light it."""
     centre = road.mean(1, keepdim=True)
     x, y, z = road - centre
     # on a CPU the default driver, gelsy, reads pivots that torch leaves unset

@@ -13,7 +13,7 @@ from luxloop.controllers.symbol.heights.forward_model import ForwardModel
 
 
 def whole(band: Tensor) -> Tensor:
-    """The whole matrix `[n, n]`."""
+    """The full symmetric matrix `[n, n]` of a band `[width, n]`."""
     width, n = band.shape
     matrix = band.new_zeros(n * (n + width))
     # Element (j, j + d) at d + j (n + 1), (j + d, j) at d n + j (n + 1). Those with j + d >= n are zero: of the first, which land in the
@@ -37,7 +37,7 @@ def solve(band: Tensor, right: Tensor) -> Tensor:
 
 
 def solve_whole(matrix: Tensor, right: Tensor) -> Tensor:
-    """As `solve`, for a full matrix `[n, n]`."""
+    """`solve` for a full matrix `[n, n]`."""
     return torch.cholesky_solve(right[:, None], torch.linalg.cholesky(matrix))[:, 0]
 
 
@@ -61,9 +61,9 @@ FREE_M = 0.01  # tolerance of heights above a free light path
 
 @dataclass(frozen=True)
 class Heights:
-    """Heights at nodes: mean `[n]` m and information `[n, n]` 1/m^2 of the observations; without any the base `[n]`.
+    """Height estimate at the nodes: mean `[n]` m, information matrix `[n, n]` 1/m^2, and base `[n]` m, the mean before any observation.
 
-    spread: whether information may couple distant nodes, as after motion.
+    spread: whether the information may couple distant nodes, as after motion.
     """
 
     mean: Tensor
@@ -73,13 +73,17 @@ class Heights:
 
     @property
     def any_information(self) -> bool:
-        """Whether there is any information."""
+        """Whether the information is not zero."""
         return bool(self.information.diagonal().any())
 
 
 @dataclass(frozen=True)
 class Registration:
-    """Registers observations of one forward model; `tied` and `pairs` are places in band matrices of the nodes (`banded`)."""
+    """Registers heights to symbol images by one forward model.
+
+    edges: `[2, e]`, pairs of neighbouring nodes. slopes: `[e]` m, usual height differences of the pairs. tied, pairs: flat indices in band
+    matrices of the nodes. products: `[10, h * w]`, products of the bilinear weights of a pixel's nodes.
+    """
 
     forward_model: ForwardModel
     edges: Tensor
@@ -90,7 +94,7 @@ class Registration:
 
     @classmethod
     def prepare(cls, forward_model: ForwardModel) -> "Registration":
-        """Make the tables of node pairs once."""
+        """Compute the tables of node pairs."""
         rows, cols, region = forward_model.rows, forward_model.cols, forward_model.region
         n, node, weight = rows * cols, forward_model.node, forward_model.weight
         k = torch.arange(n, device=node.device).view(rows, cols)
@@ -103,7 +107,7 @@ class Registration:
         return cls(forward_model, edges, SLOPE_M * slopes, torch.cat([i, j, (i - j) * n + j]), pairs, weight[a] * weight[b])
 
     def unknown(self) -> Heights:
-        """Zero heights without information."""
+        """Heights of zero without information."""
         n = self.forward_model.rows * self.forward_model.cols
         zero = self.slopes.new_zeros(n)
         return Heights(zero, zero.new_zeros(n, n), zero)
@@ -118,14 +122,13 @@ class Registration:
     def refine(
         self, nodes: Tensor, known: Heights, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor, iterations: int = ITERATIONS
     ) -> Heights:
-        """Gauss-Newton from heights `[n]`, on a symbol image `[h, w]` and known heights; the returned information is that of the image
-        alone.
+        """Gauss-Newton from heights `[n]` m, on a symbol image `[h, w]` and prior heights; returns the information of the image alone.
 
-        iterations: for each of the two blurs.
+        iterations: number of steps at each of the two blurs.
 
         The heights z have the least `sum rho(seen - p(z)) + (z - m)' L (z - m) + sum 4 log(1 + d_ij^2 / (4 s_ij^2)) + |z - b|^2 / h^2` with
         the predicted image p, Tukey's biweight rho, the known mean m and information L, the base b, its usual distance h, and the
-        differences d_ij of z - b between neighbours with their usual size s_ij (Cauchy). None lies above a free light path.
+        differences d_ij of z - b between neighbours with their usual size s_ij (Cauchy). Heights above a free light path are pulled down.
         """
         forward_model, (i, j) = self.forward_model, self.edges
         lit, dark = (each & (forward_model.inside > 0) for each in (seen > 0.5, seen < 0.2))
@@ -171,15 +174,15 @@ class Registration:
         return down @ image @ across
 
     def _normal_matrix(self, weight: Tensor) -> Tensor:
-        """`J^T W J` of a weight `[h, w]` for each pixel, as a band matrix `[cols + 2, n]` (`banded`)."""
+        """`J^T W J` of pixel weights `[h, w]`, as a band matrix `[cols + 2, n]`."""
         n, width = self.forward_model.rows * self.forward_model.cols, self.forward_model.cols + 2
         return weight.new_zeros(width * n).index_add_(0, self.pairs, (self.products * weight.flatten()).flatten()).view(width, n)
 
     def _free(self, heights: Tensor, lit: Tensor, dark: Tensor) -> tuple[Tensor, Tensor]:
-        """Space carving: light that arrives was not blocked by nearer heights.
+        """Space carving: no height lies above a light path to a lit pixel beyond.
 
         heights: `[h, w]` m. lit, dark: `[h, w]` bool, pixels with and without light. Returns the upper bound `[h, w]` m of dark pixels'
-        heights, and the weight `[h, w]` 1/m^2 of heights above it. No bounds with several lamps, as the arriving light may be any lamp's.
+        heights, and the weight `[h, w]` 1/m^2 of heights above the bound. No bounds with several lamps, since any may light a pixel.
         """
         lamp, middle = self.forward_model.lamps[0], self.forward_model.samples // 2
         on_plane, per_m = (a[:, middle :: self.forward_model.samples] for a in (lamp.on_plane, lamp.per_m))  # [3, h, w] each
@@ -192,7 +195,7 @@ class Registration:
 
 @lru_cache(maxsize=16)
 def _gaussian(sigma: float, size: int, device: torch.device) -> Tensor:
-    """Matrix `[size, size]` that blurs by its kernel, to two and a half deviations, with zeros beyond the ends."""
+    """Gaussian blur as a matrix `[size, size]`; the kernel ends at 2.5 sigma, and the image is zero beyond its border."""
     from kornia.filters import get_gaussian_kernel1d
 
     k, reach = torch.arange(size, device=device), math.ceil(2.5 * sigma)

@@ -12,6 +12,7 @@ from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.road_shape import HERE
 from luxloop.perception.birdseye import Region
 from luxloop.world.frames import inverse, transform
+from luxloop.world.texels import neighbours
 
 PATIENCE = 5  # observations in a row without a lower residual, after which a standing vehicle keeps its best heights: more would fit noise
 CHANGED = 4.0  # ratio of an observation's residual to that of the kept heights, above which the road has changed
@@ -19,7 +20,7 @@ CHANGED = 4.0  # ratio of an observation's residual to that of the kept heights,
 
 @dataclass(frozen=True)
 class Candidate:
-    """Heights and brightness `[n]`, and the symbol drawn for them, whose observation rates them."""
+    """Heights and brightness `[n]`, and the projection for these heights; the residual of its observation rates the heights."""
 
     projection: ProjectionCommand
     heights: Heights
@@ -28,7 +29,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class BestCandidate:
-    """The heights with the lowest residual in an observation of their own projection, and the number of such observations since."""
+    """The candidate with the lowest residual, and the number of observations of candidates since."""
 
     best: Candidate
     residual: float
@@ -36,17 +37,18 @@ class BestCandidate:
 
     @property
     def done(self) -> bool:
-        """Whether further observations no longer lower the residual."""
+        """Whether the residual has stopped falling."""
         return self.observations >= PATIENCE
 
 
 @dataclass(frozen=True)
 class RoadMap:
-    """Heights and brightness `[n]` at the nodes `[rows, cols]` of a region, by lines of sight of an eye at `[3]` m, in a ground frame.
+    """Heights and brightness `[n]` at the nodes, on the lines of sight of an eye at `[3]` m through a region of a plane.
 
-    T_ground_plane: `[4, 4]` float64, reference plane of heights; region and eye are in its frame. shape: `[4]` of the road, if acquired.
-    searched: number of searches. settled: no further search is needed, since two agree or heights explain the road better. drawn: newest
-    projections of a standing vehicle with their heights, for late observations. kept: the best of them.
+    grid: rows and columns of the nodes. T_ground_plane: `[4, 4]` float64, reference plane of the heights; region and eye are in its frame.
+    shape: `[4]` of the relocalised or guessed road. searched: number of searches of the whole image. settled: whether no further search is
+    needed, since two agree or heights explain the image better. drawn: newest candidates of a standing vehicle, for late observations.
+    kept: the best candidate.
     """
 
     heights: Heights
@@ -66,11 +68,11 @@ class RoadMap:
         return HeightMap(self.region, self.eye, self.heights.mean.view(self.grid), self.brightness.view(self.grid))
 
     def bare(self) -> "RoadMap":
-        """The road alone, without the state of searches; equal to another if all tensors are the same objects."""
+        """The map without the state of searches and candidates; equal maps have the same tensor objects."""
         return RoadMap(self.heights, self.brightness, self.region, self.grid, self.eye, self.T_ground_plane)
 
     def showing(self, projection: ProjectionCommand, most: int) -> "RoadMap":
-        """The map with a projection for its heights. most: number of projections that may still be observed."""
+        """The map with a new candidate for its heights. most: number of projections that may still be observed."""
         if self.drawn and self.drawn[-1].projection.shows(projection):
             return self
         return replace(self, drawn=(*self.drawn, Candidate(projection, self.heights, self.brightness))[-most:])
@@ -80,9 +82,9 @@ class RoadMap:
         return next((each for each in reversed(self.drawn) if each.projection.shows(projection)), None)
 
     def rate(self, drawn: Candidate, residual: float) -> "RoadMap":
-        """The map after an observation of a projection; the best heights are kept until the road changes.
+        """The map after an observation of a candidate; the best candidate is kept until the road changes.
 
-        residual: of its heights; infinite if they explain less than a flat road, which counts only for the kept heights.
+        residual: of the candidate; infinite if its heights explain less than a flat road.
         """
         kept = self.kept
         if kept is not None and kept.done:
@@ -98,10 +100,10 @@ class RoadMap:
         )
 
     def move(self, T_before_now: Tensor, eye: Tensor) -> "RoadMap":
-        """The map in a moved ground frame of pose `[4, 4]` in this one, for an eye at `[3]` m there.
+        """The map in another ground frame of pose `[4, 4]` in the present one, for an eye at `[3]` m in the new frame.
 
-        New parts of the region get the height of the border, the assumed road's brightness, and no information. The base stays; `over`
-        replaces it for the new ground frame.
+        Nodes that the map does not cover get the height at its border, brightness 1 and no information. `over` sets the base for the new
+        frame.
         """
         T = T_before_now.to(eye)
         if self._is_seen_so(T, eye):
@@ -113,12 +115,12 @@ class RoadMap:
         )
 
     def over(self, base: Tensor) -> "RoadMap":
-        """The map with another base `[n]` m, the heights without information."""
+        """The map with another base `[n]` m; heights without information become the base."""
         mean = self.heights.mean if self.heights.any_information else base
         return replace(self, heights=replace(self.heights, mean=mean, base=base))
 
     def relief_from(self, T_before_now: Tensor, eye: Tensor) -> HeightMap:
-        """`move(...).relief()`, without information."""
+        """`move(...).relief()` without carrying the information."""
         T = T_before_now.to(eye)
         if self._is_seen_so(T, eye):
             return self.relief()
@@ -126,7 +128,7 @@ class RoadMap:
         return HeightMap(self.region, eye, heights.view(self.grid), brightness.view(self.grid))
 
     def tracks(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Height in m of the road at places `[2, k]` of the ground, and its information in 1/m^2: 0 outside of the region."""
+        """Road height in m at ground coordinates x, y `[2, k]`, and its information in 1/m^2, 0 outside the region."""
         relief = self.relief()
         heights, places = relief.under(x, y)  # [2, k] m, [2 (x, y), 2, k] m
         r = self.region
@@ -134,19 +136,19 @@ class RoadMap:
         return heights, relief.at(self.heights.information.diagonal().view(self.grid), *places) * inside
 
     def tilt(self, pitch_rad: float, pivot_x_m: float) -> "RoadMap":
-        """The map if the observing body had pitched by this many rad more."""
+        """The map for a body pitch that is larger by pitch_rad."""
         heights = self.heights.mean - pitch_rad * (self.nodes()[0] - pivot_x_m)  # [n]
         return replace(self, heights=replace(self.heights, mean=heights))
 
     def loosen(self, pitch_rad: float, pivot_x_m: float) -> "RoadMap":
-        """The map with a pitch uncertainty in rad: all heights share an error proportional to distance (Woodbury)."""
+        """The map with a pitch uncertainty: all heights share an error proportional to the distance from the pivot (Woodbury)."""
         L, arm = self.heights.information, self.nodes()[0] - pivot_x_m  # [n, n], a [n] m
         pull = L @ arm
         information = L - pull[:, None] * pull / (1 / pitch_rad**2 + arm @ pull)  # L - L a a' L / (1 / sigma^2 + a' L a)
         return replace(self, heights=replace(self.heights, information=information, spread=True))
 
     def pitch_between(self, before: "RoadMap", pivot_x_m: float) -> float | None:
-        """Pitch error in rad of the body if the road equals the earlier map; None: unknown."""
+        """Pitch error in rad of the body, from the height difference to an earlier map; None if the maps share no information."""
         known, seen = (each.heights.information.diagonal() for each in (before, self))
         arm = self.nodes()[0] - pivot_x_m
         weight = arm * known * seen / (known + seen).clamp(min=1.0)  # a / (1 / k + 1 / s), [n]
@@ -154,7 +156,7 @@ class RoadMap:
         return float(weight @ (self.heights.mean - before.heights.mean)) / lever if lever > 0 else None  # weighted least squares
 
     def nodes(self) -> Tensor:
-        """Places `[3, n]` of the nodes on the plane."""
+        """Positions `[3, n]` m of the nodes on the plane."""
         r, (rows, cols) = self.region, self.grid
         x = r.x_far_m - (torch.arange(rows).to(self.eye) + 0.5) * ((r.x_far_m - r.x_near_m) / rows)
         y = r.y_left_m - (torch.arange(cols).to(self.eye) + 0.5) * ((r.y_left_m - r.y_right_m) / cols)
@@ -166,7 +168,7 @@ class RoadMap:
         return eye.equal(self.eye) and T.equal(torch.eye(4).to(T))
 
     def _seen_by(self, T: Tensor, eye: Tensor) -> tuple[Tensor, Tensor]:
-        """Heights and brightness `[n]` at the nodes for an eye in the ground frame of pose T `[4, 4]` in this one."""
+        """Heights and brightness `[n]` at the nodes for an eye in a ground frame of pose T `[4, 4]` in the present one."""
         relief, nodes = self.relief(), self.nodes()
         heights = -transform(T, nodes)[2]  # of the old plane
         for _ in range(3):  # iterate, as the end of a line of sight depends on its height
@@ -175,28 +177,25 @@ class RoadMap:
         return heights, 1 + relief.at(relief.brightness - 1, x, y, beyond="zeros").flatten()
 
     def _seen_anew(self, nodes: Tensor, heights: Tensor, eye: Tensor, T: Tensor, other: Tensor) -> Tensor:
-        """Places on its plane where another eye sees road points of height `[n]` m on an eye's lines of sight through nodes `[3, n]`.
+        """Where another eye sees the road points at heights `[n]` m on an eye's lines of sight through nodes `[3, n]`.
 
-        T: the ground frame of eye and nodes in that of the other. Returns x, y there and the road's height in that frame, `[3, 1, n]`.
+        T: ground frame of eye and nodes, in the ground frame of the other eye. Returns x, y on the plane and the height of the points, in
+        the other eye's frame, `[3, 1, n]`.
         """
         road = transform(T, nodes + (eye[:, None] - nodes) * (heights / eye[2]))  # p = T (q + (e - q) h / e_z), [3, n] m
         x, y, _ = other[:, None] + (road - other[:, None]) * (other[2] / (other[2] - road[2]))  # where lines of sight meet z = 0, [n] each
         return torch.stack([x, y, road[2]])[:, None]
 
     def _carry(self, places: Tensor) -> Tensor:
-        """Information `[n, n]` at the nodes, from heights that moved to places between them.
+        """Information `[n, n]` at the nodes, from heights at positions between the nodes.
 
-        With `old = V new` the old `old^T L old` is `new^T V^T L V new`. Heights outside the region are dropped.
+        With `old = V new`, `old^T L old` becomes `new^T V^T L V new`. Heights outside the region are dropped.
         """
         r, (rows, cols) = self.region, self.grid
-        down = (r.x_far_m - places[0].flatten()) / (r.x_far_m - r.x_near_m) * rows - 0.5
-        right = (r.y_left_m - places[1].flatten()) / (r.y_left_m - r.y_right_m) * cols - 0.5
-        stays = (down > -0.5) & (down < rows - 0.5) & (right > -0.5) & (right < cols - 0.5)
-        down, right = down.clamp(0, rows - 1), right.clamp(0, cols - 1)
-        r0, c0 = down.floor().clamp(max=rows - 2), right.floor().clamp(max=cols - 2)
-        a, b, first = down - r0, right - c0, (r0 * cols + c0).long()
-        to = torch.stack([first, first + 1, first + cols, first + cols + 1])
-        weight = torch.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b]) * stays  # of V, [4, n]
+        row = (r.x_far_m - places[0].flatten()) / (r.x_far_m - r.x_near_m) * rows
+        col = (r.y_left_m - places[1].flatten()) / (r.y_left_m - r.y_right_m) * cols
+        to, weight = neighbours(row, col, rows, cols)
+        weight = weight * ((row > 0) & (row < rows) & (col > 0) & (col < cols))  # of V, [4, n]
         information = self.heights.information
         for _ in range(2):  # V' L, transposed, and V' of that: V' L V, since L is symmetric
             shares = (weight[:, :, None] * information).flatten(0, 1)  # [4 * n, n]

@@ -1,4 +1,4 @@
-"""The field of the lamp modules that draw a symbol: the cut-off part of the symbol, and places on a road that can be lit."""
+"""The field of the drawing modules: the part of a symbol outside the field, and places on a road inside the field."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,7 @@ from torch.nn.functional import adaptive_avg_pool2d, interpolate
 
 from luxloop.controllers.symbol.sensing.projection import CELLS, ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
-from luxloop.controllers.symbol.sensing.road_shape import HERE, LEAST_HEIGHT_M, height, ray_lengths, touching
+from luxloop.controllers.symbol.sensing.road_shape import HERE, LEAST_HEIGHT_M, height, ray_lengths, tangent_plane
 from luxloop.world.frames import inverse, transform
 from luxloop.world.texels import resample
 
@@ -17,10 +17,11 @@ EVERY = 8  # every eighth cell of a rectangle along and across is tested
 
 
 def cut(projector: Projector, projection: ProjectionCommand) -> Tensor:
-    """Shares `[..., 4]` of a symbol's white area that lie beyond the SIDES of every module's field; their sum is what is cut.
+    """Shares `[..., 4]` of a symbol's white area cut off at left, right, top and bottom of the modules' fields; their sum is the cut-off
+    share.
 
-    A place is cut if no module has a texel in its direction. It counts for one side: that of the nearest field whose border it exceeds
-    most. NaN where no symbol is drawn.
+    A place is cut off if no module has a texel in its direction; it counts for the border that it exceeds most, of the nearest field. NaN
+    if no symbol is drawn.
     """
     projection = projector.on_road(projection)
     if projection.raw is None and _wholly_lit(projector, projection):
@@ -39,21 +40,19 @@ def cut(projector: Projector, projection: ProjectionCommand) -> Tensor:
 
 
 def _wholly_lit(projector: Projector, projection: ProjectionCommand) -> bool:
-    """Whether one module's field contains the corners of all symbols; false on a device, to avoid synchronisation."""
+    """Whether one module's field contains the corners of all symbols; False on an accelerator, to avoid synchronisation."""
     corners = projector.rectangle(projection).corners()[..., 0, :, :].mT[..., None]  # [..., 3, 4, 1]
     return corners.device.type == "cpu" and any(bool((beyond(module, corners) <= 0).all()) for module in projector.modules)
 
 
 def beyond(module: DrawingModule, places: Tensor) -> Tensor:
-    """Distances `[..., 4, rows, cols]` m of places `[..., 3, rows, cols]` m beyond the four borders of a module's field, negative
-    within.
-    """
+    """Distances `[..., 4, rows, cols]` m of places `[..., 3, rows, cols]` m beyond the borders of a module's field, negative inside."""
     normals, offsets = module.borders.to(places).split([3, 1], 1)
     return (normals @ places.flatten(-2) + offsets).unflatten(-1, places.shape[-2:])
 
 
 def _white(symbol: Tensor, projection: ProjectionCommand, rows: int, cols: int) -> Tensor:
-    """The symbol `[rows, cols]` on a projection's rectangle, mean of all modules."""
+    """White share `[rows, cols]` of the symbol on a projection's rectangle, mean of all modules."""
     coarse = adaptive_avg_pool2d(symbol[None, None], (rows, cols))
     if projection.raw is not None:
         return torch.zeros_like(coarse[0, 0])
@@ -64,30 +63,30 @@ def _white(symbol: Tensor, projection: ProjectionCommand, rows: int, cols: int) 
     return resample(coarse, u, v)[:, 0].mean(0)
 
 
-FARTHEST = 2.4  # of the target's distance: light farther away is too far for an appearance
-PLACES_M, STEP_M = (5.0, 60.0), 0.25  # range and step ahead of places for a symbol whose target cannot be lit
-SAME_M = 1e-3  # between places
+FARTHEST = 2.4  # largest distance of the lit road point for an appearance, in distances of the target
+PLACES_M, STEP_M = (5.0, 60.0), 0.25  # distances ahead, and their step, tried for a symbol whose target cannot be lit
+SAME_M = 1e-3  # distance below which two places are equal
 
 
 def aim(shape: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], eye: Tensor) -> Tensor:
-    """The plane `[4, 4]` on the ground for the symbol at its x and y; HERE if it is to look as on z = 0.
+    """Pose `[4, 4]` of the plane on which the symbol is drawn, with the symbol at its x_m, y_m; HERE for the appearance on z = 0.
 
-    shape: `[4]` of the road. eye: `[3]` m. The plane touches the road at the target if lamps light its middle, else at the nearest place
-    ahead where they light the whole symbol, else at the target.
+    shape: `[4]` of the road. eye: `[3]` m. The plane is tangent to the road at the target if the lamps light the target's middle, else at
+    the nearest place ahead where they light the whole symbol; HERE if there is none.
     """
     shape, eye = shape.detach().cpu().double(), eye.cpu().double()
     if symbol.target == "appearance" and _appears(shape, symbol, modules, eye):
         return HERE
     ahead = torch.arange(*PLACES_M, STEP_M, dtype=torch.float64)
     x = torch.cat([ahead.new_tensor([symbol.x_m]), ahead[(ahead - symbol.x_m).abs().argsort(stable=True)]])
-    planes = _touching(shape, symbol, x)
+    planes = _tangent_planes(shape, symbol, x)
     lit = _lit(planes, symbol, modules, eye)
     fine = torch.cat([lit[:1, 0], lit[1:].all(-1)])
     return planes[int(fine.to(torch.uint8).argmax())] if bool(fine.any()) else HERE
 
 
 def elsewhere(T_ground_plane: Tensor, symbol: SymbolParams) -> Tensor | None:
-    """Place on the ground, x and y `[2]` m, of a symbol on a plane `[4, 4]`; None if it is the target."""
+    """Ground coordinates x, y `[2]` m of a symbol on a plane `[4, 4]`; None at the target."""
     target = T_ground_plane.new_tensor([symbol.x_m, symbol.y_m, 0.0])
     place = transform(T_ground_plane, target[:, None])[:2, 0]
     at_target = (place - target[:2]).norm() < SAME_M
@@ -95,22 +94,22 @@ def elsewhere(T_ground_plane: Tensor, symbol: SymbolParams) -> Tensor | None:
 
 
 def _appears(shape: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], eye: Tensor) -> bool:
-    """Whether the road point that appears at the target's middle is not too far behind it and in the field of a lamp."""
+    """Whether the road point on the line of sight to the target's middle is within FARTHEST and in the field of a lamp."""
     way = torch.tensor([symbol.x_m, symbol.y_m, 0.0], dtype=torch.float64) - eye
     share = ray_lengths(shape[None], symbol.x_m, eye, way)[0]
     return bool(share < FARTHEST) and bool(_in_field((eye + share * way)[None, :, None], modules))
 
 
-def _touching(shape: Tensor, symbol: SymbolParams, x: Tensor) -> Tensor:
-    """Planes `[k, 4, 4]` that touch the road at x `[k]` m ahead."""
+def _tangent_planes(shape: Tensor, symbol: SymbolParams, x: Tensor) -> Tensor:
+    """Planes `[k, 4, 4]` tangent to the road at x `[k]` m."""
     _, b, c, d = shape
     y = torch.full_like(x, symbol.y_m)
     at = torch.stack([x, y, height(shape, symbol.x_m, x, y)], -1)
-    return touching(at, b + d * (x - symbol.x_m), c.expand_as(x), symbol.x_m, symbol.y_m)
+    return tangent_plane(at, b + d * (x - symbol.x_m), c.expand_as(x), symbol.x_m, symbol.y_m)
 
 
 def _lit(planes: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], eye: Tensor) -> Tensor:
-    """Whether lamps light the middle and the corners of symbols on planes `[k, 4, 4]`, and lamps and eye are well over these: `[k, 5]`."""
+    """Whether lamps light the middle and the corners of symbols on planes `[k, 4, 4]`, with lamps and eye above the planes: `[k, 5]`."""
     half_x, half_y = symbol.length_m / 2, symbol.width_m / 2
     spots = planes.new_tensor([[0, half_x, half_x, -half_x, -half_x], [0, half_y, -half_y, half_y, -half_y], [0] * 5])
     inside = _in_field(transform(planes, spots + spots.new_tensor([[symbol.x_m], [symbol.y_m], [0.0]])), modules)

@@ -15,13 +15,14 @@ from luxloop.controllers.symbol.sensing.projector import Projector
 from luxloop.perception.appearance import Appearance, Axes, appearance, area, error_indices, features, image_axes, probes
 from luxloop.perception.birdseye import BirdsEye, birds_eye, rectify, region_around
 from luxloop.perception.camera import CameraParams, average_rows, camera_view
-from luxloop.perception.extraction import Crop, Extraction, noise_limit, symbol_image
+from luxloop.perception.extraction import Extraction, noise_limit, symbol_image
 from luxloop.world.frames import View
 from luxloop.world.light.emitters import ambient_luminance
 from luxloop.world.light.illumination import Transport, added_light, lit_surface, transport
 from luxloop.world.materials.library import RoadSurfaceParams
 from luxloop.world.params import Params
 from luxloop.world.rendering.gbuffer import flat_road
+from luxloop.world.texels import Window
 
 
 class FeatureParams(Params):
@@ -33,25 +34,25 @@ class FeatureParams(Params):
 
 @dataclass(frozen=True)
 class Eye:
-    """Turns symbol images into features; plane is the bird's-eye view, None for the raw image."""
+    """Features of symbol images, in the camera's image or in a bird's-eye view. plane: the bird's-eye view, None for the camera's image."""
 
     view: View
     plane: BirdsEye | None
     shape: str
 
-    def look(self, symbol: Tensor, crop: Crop) -> Appearance:
-        """Appearance of a symbol image `[..., h, w]` that was cut from the camera's image at crop."""
+    def look(self, symbol: Tensor, crop: Window) -> Appearance:
+        """Appearance of a symbol image `[..., h, w]` at a crop of the camera's image."""
         return appearance(self._image(symbol, crop), self._axes(symbol, crop))
 
-    def look_beside(self, symbol: Tensor, expected: Tensor, crop: Crop) -> tuple[Appearance, Tensor]:
-        """As `look`, with the area `[...]` of the expected symbol image `[..., h, w]`."""
+    def look_beside(self, symbol: Tensor, expected: Tensor, crop: Window) -> tuple[Appearance, Tensor]:
+        """Appearance of a symbol image, and area `[...]` of the expected symbol image `[..., h, w]`."""
         axes = self._axes(symbol, crop)
         return appearance(self._image(symbol, crop), axes), area(self._image(expected, crop), axes)
 
-    def _image(self, symbol: Tensor, crop: Crop) -> Tensor:
+    def _image(self, symbol: Tensor, crop: Window) -> Tensor:
         return symbol if self.plane is None else rectify(self.plane, symbol, crop.u_start, crop.v_start)
 
-    def _axes(self, symbol: Tensor, crop: Crop) -> Axes:
+    def _axes(self, symbol: Tensor, crop: Window) -> Axes:
         height, width = symbol.shape[-2:]
         return image_axes(height, width, crop.u_start, crop.v_start, symbol) if self.plane is None else self.plane.axes
 
@@ -64,9 +65,10 @@ class Eye:
 class FlatModel:
     """Forward model of the symbol on a flat road.
 
-    transports: of light to the camera's pixels, one a module. beams: `[height, width]` cd/m^2, of the base beams. limit: `[height, width]`
-    cd/m^2, threshold of extraction. params: those of extraction. eye: turns symbol images into features. target: `[n]` features at the
-    target. gains: `[n]`, change of the paired feature per m or rad of x, y, roll, pitch there. albedo: of the road.
+    transports: matrices from utilisations to the camera's pixels, one a module. beams: luminance of the base beams, `[height, width]`
+    cd/m^2. limit: threshold of extraction, `[height, width]` cd/m^2. params: of extraction. eye: features of symbol images. target: `[n]`,
+    features at the target. gains: `[n]`, plant gains at the target: change of the paired feature per m or rad of x, y, roll, pitch. albedo:
+    of the road.
     """
 
     transports: tuple[Transport, ...]
@@ -79,19 +81,19 @@ class FlatModel:
     albedo: float
 
     def luminance(self, lights: Sequence[Utilisation], rows: slice | None = None) -> Tensor:
-        """Luminance `[..., height, width]` in cd/m^2 that the lamps add to their base beams on the flat road, for all or some rows."""
+        """Luminance `[..., height, width]` in cd/m^2 that the lamps add to their base beams on the flat road; rows: by default all."""
         return added_light(self.transports, lights, self._without_beams, rows)
 
     @cached_property
     def _without_beams(self) -> Tensor:
         return -self.beams
 
-    def contrast(self, lights: Sequence[Utilisation], crop: Crop) -> tuple[Tensor, Tensor]:
-        """Luminance `[..., h, w]` that the lamps add to their base beams, and the threshold `[h, w]` there, in cd/m^2."""
+    def contrast(self, lights: Sequence[Utilisation], crop: Window) -> tuple[Tensor, Tensor]:
+        """Luminance `[..., h, w]` that the lamps add to their base beams, and threshold `[h, w]`, in cd/m^2 at a crop of the image."""
         rows, columns = crop.slices
         return self.luminance(lights, rows)[..., columns], self.limit[crop.slices]
 
-    def symbol(self, lights: Sequence[Utilisation], crop: Crop) -> Tensor:
+    def symbol(self, lights: Sequence[Utilisation], crop: Window) -> Tensor:
         """Symbol image `[..., h, w]` that extraction would find without noise."""
         return symbol_image(*self.contrast(lights, crop), self.params)
 

@@ -1,4 +1,4 @@
-"""A controller's command: pose of the symbol's rectangle, and warp of the symbol on it."""
+"""The command of a symbol controller: pose of the symbol's rectangle, and warp of the symbol on the rectangle."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,10 +11,10 @@ CELLS = (512, 256)  # of a warped symbol, along and across
 
 @dataclass(frozen=True)
 class Warp:
-    """A warp of the symbol on another rectangle about the same centre.
+    """A warp of the symbol on a rectangle of another size.
 
-    size_m: length and width of the rectangle. source: `[..., m, 2, h, w]`, place on the symbol of each cell: u to the right and v down, -1
-    to 1 over the symbol; for each of m modules, or m = 1 for all. dimming: `[..., m, h, w]`, 0..1.
+    source: `[..., m, 2, h, w]`, symbol coordinates u (right) and v (down), -1 to 1 over the symbol, of each cell of the rectangle, for each
+    of m modules, or m = 1 for all. dimming: `[..., m, h, w]`, factor 0..1 of each cell. size_m: length and width of the rectangle.
     """
 
     source: Tensor
@@ -22,7 +22,7 @@ class Warp:
     size_m: tuple[float, float]
 
     def to(self, device: torch.device) -> "Warp":
-        """The same on another device."""
+        """The warp on another device."""
         return Warp(self.source.to(device), self.dimming.to(device), self.size_m)
 
 
@@ -30,10 +30,10 @@ class Warp:
 class ProjectionCommand:
     """The command of one symbol.
 
-    pose: `[..., 4]` = x, y in m, roll, pitch in rad, in the body frame. z: `[...]` m, height of the centre above the assumed road, None: 0.
-    warp: None: undistorted. raw: utilisations `[n_p]`, one a module, shown instead of a symbol, or None. shape: `[4]` of a road on which
-    the eye shall see the same image as of the other fields on z = 0 (see `luxloop.controllers.symbol.sensing.projector`), None for z = 0.
-    aim: `[2]`, x and y in m of the symbol's place if its target cannot be lit, None for the target.
+    pose: `[..., 4]` = x, y in m, roll, pitch in rad, in the body frame. z: `[...]` m, height of the centre above the assumed road; None: 0.
+    warp: warp of the symbol; None: undistorted. raw: utilisations `[n_p]`, one a module, instead of a symbol; None: a symbol. shape: `[4]`,
+    road shape (`luxloop.controllers.symbol.sensing.road_shape`) on which the eye sees the image that pose and warp give on z = 0; None: z =
+    0. aim: `[2]`, x and y in m of the symbol if its target cannot be lit; None: at the target.
     """
 
     pose: Tensor
@@ -44,7 +44,7 @@ class ProjectionCommand:
     aim: Tensor | None = None
 
     def shows(self, other: "ProjectionCommand") -> bool:
-        """Whether another command is equal in value; commands of a restored state are different objects."""
+        """Whether another command has equal values; after a restart equal commands are different objects."""
         if self is other:
             return True
         mine, others = self._values(), other._values()

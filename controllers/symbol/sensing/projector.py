@@ -4,37 +4,42 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field
 from torch import Tensor
 from torch.nn.functional import interpolate
 
 from luxloop.controllers.pixels.primitives import Primitives, Quantity, road_symbol
 from luxloop.controllers.pixels.ssc import PixelController, Utilisation
+from luxloop.controllers.pixels.windows import union
 from luxloop.controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
-from luxloop.controllers.symbol.sensing.road_shape import below_lamps, cells_of_rectangle, holding, pose_of_rectangle, ray_lengths
+from luxloop.controllers.symbol.sensing.road_shape import (
+    below_lamps,
+    bounding_rectangle,
+    cells_of_rectangle,
+    pose_of_rectangle,
+    ray_lengths,
+)
 from luxloop.perception import appearance
-from luxloop.perception.extraction import Crop
 from luxloop.world.caches import keeping
 from luxloop.world.frames import View, inverse, pose, rotation, transform
 from luxloop.world.params import Params
-from luxloop.world.texels import resample
+from luxloop.world.texels import NOWHERE, Window, resample
 
 FOLLOWED = 4  # light paths are traced for every fourth cell along and across, and interpolated
-FARTHEST, NO_ROAD = 3.0, 1e3  # ends of lines that meet no road, in distances to z = 0 (sight) and to the patch (light)
-LEAST_FALL_M = 1e-3  # least height of a line's origin over the plane that it crosses
+FARTHEST, NO_ROAD = 3.0, 1e3  # ends of rays that meet no road: lines of sight in distances to z = 0, light in distances to the patch
+LEAST_FALL_M = 1e-3  # least height of a ray's origin above the plane
 
 
 def lift(
     projection: ProjectionCommand, size_m: tuple[float, float], shape: Tensor, x0_m: float, eye: Tensor, lamps: Tensor
 ) -> ProjectionCommand:
-    """Maps a drawing of a symbol of `size_m` (length, width) on the plane to a rectangle tangent to a road of shape `[4]` about x0.
+    """The command on a rectangle tangent to a road of shape `[4]` about x0, for a command on the plane z = 0; size_m: length, width.
 
-    eye: `[3]`, lamps: `[m, 3]` m. Each lamp has a warp of its own.
+    eye: `[3]`, lamps: `[m, 3]` m. The eye sees the same image of both commands; each lamp has its own warp.
     """
     length, width = size_m if projection.warp is None else projection.warp.size_m
     T = _rectangle(projection)
@@ -63,15 +68,15 @@ def _rectangle(projection: ProjectionCommand) -> Tensor:
 
 
 def _crossed(origin: Tensor, points: Tensor) -> Tensor:
-    """Intersections with z = 0 of lines from an origin `[3]` m through points `[3, ...]` m; far ahead for lines that do not fall."""
+    """Intersections with z = 0 of rays from an origin `[3]` m through points `[3, ...]` m; far ahead for rays that do not fall."""
     start = origin.view(3, *(1,) * (points.dim() - 1))
     return start + (points - start) * (origin[2] / (origin[2] - points[2]).clamp(min=LEAST_FALL_M))
 
 
 def _patch(road: Tensor, shape: Tensor, x0_m: float, lamps: Tensor) -> tuple[Tensor, tuple[float, float]]:
-    """Pose `[4, 4]`, length and width in m of a rectangle that all light of lamps to points `[3, m, k]` of the road crosses.
+    """Pose `[4, 4]`, length and width in m of a rectangle that all light of m lamps to points `[3, m, k]` of the road crosses.
 
-    It is tangent to the road behind the points' middle, but no steeper than lamps can light.
+    The rectangle is tangent to the road at the points' mean, or less steep if needed so that the lamps light it.
     """
     _, b, c, d = shape
     middle = road.flatten(1).mean(1)
@@ -79,11 +84,11 @@ def _patch(road: Tensor, shape: Tensor, x0_m: float, lamps: Tensor) -> tuple[Ten
     local, origins = transform(inverse(T), road.flatten(1)).view_as(road), transform(inverse(T), lamps.T).T
     crossings = torch.stack([_crossed(origin, points)[:2] for origin, points in zip(origins, local.unbind(1), strict=True)], 1)
     low, high = crossings.flatten(1).aminmax(dim=1)
-    return holding(T, low, high)
+    return bounding_rectangle(T, low, high)
 
 
 def _compose_warps(warp: Warp | None, source: Tensor, size_m: tuple[float, float]) -> Warp:
-    """A warp whose cells take the light of places `[m, 2, h, w]` on the rectangle of another warp, or on the symbol."""
+    """The composition of a warp, or none, with a second warp whose cells have coordinates `[m, 2, h, w]` on the rectangle of the first."""
     if warp is None:
         return Warp(source, torch.ones_like(source[:, 0]), size_m)
     u, v = source.unbind(1)
@@ -95,7 +100,6 @@ def _compose_warps(warp: Warp | None, source: Tensor, size_m: tuple[float, float
 
 CORNERS = 4  # of a rectangle
 AHEAD_M = 0.1  # least distance from the camera of visible points
-NOWHERE = Crop(0, 0, 0, 0)
 
 
 class SymbolParams(Params):
@@ -107,7 +111,7 @@ class SymbolParams(Params):
     x_m: float = Field(17.0, gt=1, le=100, description="target position of the centre ahead of the lamps")
     y_m: float = Field(0.0, ge=-20, le=20, description="target position of the centre to the left")
     target: Literal["appearance", "place"] = Field(
-        "appearance", description="what lies at x_m, y_m: the appearance of a symbol on a flat road, or the symbol on the road itself"
+        "appearance", description="quantity held at x_m, y_m: the symbol's appearance on a flat road, or its place on the road"
     )
     quantity: Quantity = Field(
         "u_abs", description="unit of the setpoint: I_v in cd, E_v in lx, u_abs as a share, u_rel as a multiple of the base beam"
@@ -115,12 +119,6 @@ class SymbolParams(Params):
     value: float = Field(
         1.0, gt=0, le=1e9, description="setpoint of a white pixel of the image; all but u_rel share it evenly among their modules"
     )
-
-    @model_validator(mode="after")
-    def _a_share_is_at_most_one(self) -> Self:
-        if self.quantity == "u_abs" and self.value > 1:
-            raise ValueError(f"value: {self.value:g} is not a share; give at most 1, or name the quantity I_v (cd) or E_v (lx)")
-        return self
 
 
 class StartParams(Params):
@@ -159,8 +157,8 @@ class DrawingModule:
 class Projector:
     """Draws one symbol with lamp modules.
 
-    modules: the drawing modules. symbol: image `[h, w]` in 0..1. params: size, brightness and target. eye: `[3]` m in the body frame, from
-    which a lifted projection looks right.
+    modules: the drawing modules. symbol: image `[h, w]` in 0..1. params: size, brightness and target. eye: `[3]` m in the body frame, the
+    camera for which road shapes are compensated.
     """
 
     modules: tuple[DrawingModule, ...]
@@ -189,10 +187,10 @@ class Projector:
 
     @cached_property
     def _cached_rectangle(self) -> Callable[[ProjectionCommand], Primitives]:
-        return keeping(2, self._rectangle_of)  # the projections drawn now and seen now
+        return keeping(2, self._rectangle_of)  # the projection drawn now and the projection in the newest frames
 
     def rectangle(self, projection: ProjectionCommand) -> Primitives:
-        """The unwarped primitive of a projection's symbol; cached for the newest projections without gradient."""
+        """The primitive of a projection's rectangle with the undistorted symbol; cached for the newest projections without gradient."""
         learns = projection.pose.requires_grad or (projection.z is not None and projection.z.requires_grad)
         return (self._rectangle_of if learns else self._cached_rectangle)(projection)
 
@@ -236,14 +234,14 @@ class Projector:
         return [_raise(self._rectangle(projection.pose, *projection.warp.size_m, image), projection.z) for image in images]
 
     def on_road(self, projection: ProjectionCommand) -> ProjectionCommand:
-        """The drawing on z = 0 or on a rectangle tangent to the road of its shape."""
+        """The command on the rectangle tangent to the road of the projection's shape; unchanged for z = 0."""
         if projection.shape is None:
             return projection
         p, lamps = self.params, torch.stack([module.T_body_headlight[:3, 3] for module in self.modules]).to(self.symbol)
         return lift(projection, (p.length_m, p.width_m), projection.shape, p.x_m, self.eye.to(self.symbol), lamps)
 
     def _cast(self, primitives: Iterable[Primitives]) -> tuple[Utilisation, ...]:
-        """Of one primitive a module."""
+        """Utilisations of one primitive a module."""
         return tuple(
             module.pixel_controller.utilisation(primitive, module.T_body_headlight)
             for module, primitive in zip(self.modules, primitives, strict=True)
@@ -256,28 +254,16 @@ class Projector:
             for module, light, beam in zip(self.modules, lights, (each.pixel_controller.default for each in self.modules), strict=True)
         )
 
-    def footprint(self, projection: ProjectionCommand, view: View, margin_m: float, shape: Tensor | None = None) -> Crop:
-        """The crop of a camera's image in which a projection's light can appear on a road at most margin_m above or below a shape `[4]`.
+    def footprint(self, projection: ProjectionCommand, view: View, margin_m: float, shape: Tensor | None = None) -> Window:
+        """The window of a camera's image in which the light of a projection, or of all projections of a batch, can appear.
 
-        shape: of the road, see `luxloop.controllers.symbol.sensing.road_shape`; default: z = 0. One rectangle for all of a batch. Rays that
-        do not meet the road within 200 m end there.
+        margin_m: largest height of the road above or below its shape. shape: `[4]` of the road, see
+        `luxloop.controllers.symbol.sensing.road_shape`; default: z = 0. Rays that do not meet the road within 200 m end there.
         """
-        uv, there = self._ends(projection, view, margin_m, shape)
-        uv = uv[:, there]
-        return _crop(uv.min(1), uv.max(1), view) if uv.shape[1] else NOWHERE
+        return union(self.footprints(projection, view, margin_m, shape))
 
-    def footprints(self, projection: ProjectionCommand, view: View, margin_m: float) -> list[Crop]:
-        """The footprint of each projection of a batch `[B]`, for the plane z = 0."""
-        uv, there = self._ends(projection, view, margin_m, None)
-        uv, there = uv.reshape(*uv.shape[:-1], -1, CORNERS), there.reshape(len(there), -1, CORNERS)  # [2, n, B, 4], [n, B, 4]
-        low, high = np.where(there, uv, np.inf).min((1, 3)).T, np.where(there, uv, -np.inf).max((1, 3)).T
-        seen: list[bool] = np.any(there, (0, 2)).tolist()
-        return [_crop(*ends, view) if some else NOWHERE for ends, some in zip(zip(low, high, strict=True), seen, strict=True)]
-
-    def _ends(
-        self, projection: ProjectionCommand, view: View, margin_m: float, shape: Tensor | None
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Image coordinates `[2, n, N]` px of n possible ends of the light to N corners, and whether they lie ahead `[n, N]`."""
+    def footprints(self, projection: ProjectionCommand, view: View, margin_m: float, shape: Tensor | None = None) -> list[Window]:
+        """The footprint of each projection of a batch."""
         corners = self.rectangle(projection).corners().detach().reshape(-1, 3).T.cpu().double().numpy()
         origins = np.stack([module.T_body_headlight[:3, 3:].double().cpu().numpy() for module in self.modules])
         rays, heights = corners - origins, np.array([-margin_m, margin_m])  # [m, 3, N], [2]
@@ -291,19 +277,23 @@ class Projector:
             reach = torch.stack([ray_lengths(bounds, self.params.x_m, *each) for each in both], 1).numpy()
         ends = origins + rays * np.minimum(reach, 200 / np.linalg.norm(rays, axis=1))[:, :, None]  # [2, m, 3, N]
         uv, depth = view.project_few(np.moveaxis(ends, 2, 0).reshape(3, -1))
-        return uv.reshape(2, -1, corners.shape[1]), (depth > AHEAD_M).reshape(-1, corners.shape[1])
+        size = (2 * len(self.modules), corners.shape[1] // CORNERS, CORNERS)
+        uv, there = uv.reshape(2, *size), (depth > AHEAD_M).reshape(size)
+        low, high = np.where(there, uv, np.inf).min((1, 3)).T, np.where(there, uv, -np.inf).max((1, 3)).T
+        seen: list[bool] = np.any(there, (0, 2)).tolist()
+        return [_window(*each, view) if some else NOWHERE for each, some in zip(zip(low, high, strict=True), seen, strict=True)]
 
 
-def _crop(low: Iterable[float], high: Iterable[float], view: View) -> Crop:
-    """All pixels from (u, v) to (u, v) px within an image."""
+def _window(low: Iterable[float], high: Iterable[float], view: View) -> Window:
+    """The window of all pixels between two corners (u, v) in px, clipped to the image."""
     whole = (view.width, view.height)
     u0, v0 = (min(max(math.floor(end), 0), n) for end, n in zip(low, whole, strict=True))
     u1, v1 = (min(max(math.ceil(end), 0), n) for end, n in zip(high, whole, strict=True))
-    return Crop(v0, v1, u0, u1)
+    return Window(v0, v1, u0, u1)
 
 
 def _raise(primitive: Primitives, z: Tensor | None) -> Primitives:
-    """A primitive `[..., 1]` raised by z `[...]` m, if not None."""
+    """A primitive `[..., 1]` raised by z `[...]` m; None: unchanged."""
     if z is None:
         return primitive
     up = torch.stack([torch.zeros_like(z), torch.zeros_like(z), z], -1)[..., None, :]

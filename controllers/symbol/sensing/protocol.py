@@ -1,4 +1,4 @@
-"""Protocol of symbol controllers: state in, state out, and a projection command."""
+"""Protocol of symbol controllers: state and observation in, state and projection command out."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -13,9 +13,10 @@ from luxloop.perception.egomotion import Ego
 
 @dataclass(frozen=True)
 class Projection:
-    """The projection of a step.
+    """The light of a step.
 
-    projection: of the symbol. lights: utilisations, one a module. ego: the motion with which it was drawn, None for a standing vehicle.
+    projection: command of the symbol. lights: utilisations, one a module. ego: vehicle motion for which the command was drawn, None for a
+    standing vehicle.
     """
 
     projection: ProjectionCommand
@@ -28,8 +29,8 @@ class Observation:
     """The controller's input in a step.
 
     measurement: features and errors of the symbol. frames: on and off frame `[height, width]`, digital numbers; None if lost or not yet
-    arrived. shown: projection in these frames, older than this step if the camera has latency. ego: the present motion, None for a standing
-    vehicle.
+    arrived. shown: the light in these frames, older than this step if the camera has latency. ego: present vehicle motion, None for a
+    standing vehicle.
     """
 
     measurement: Measurement
@@ -39,14 +40,14 @@ class Observation:
 
 
 class SymbolController(Protocol):
-    """Draws the symbol; its state is a frozen dataclass of tensors."""
+    """Holds a symbol by projection commands; its state is a frozen dataclass of tensors."""
 
     def start(self, pose: Tensor) -> Any:
-        """State that first shows the pose `[..., 4]` (x, y in m, roll, pitch in rad)."""
+        """The initial state, whose command shows the pose `[..., 4]` (x, y in m, roll, pitch in rad)."""
         ...
 
     def projection(self, state: Any, ego: Ego | None) -> ProjectionCommand:
-        """The next projection command. ego: the present motion, newer than any observation, or None."""
+        """The next command. ego: present vehicle motion, newer than the last observation, or None."""
         ...
 
     def step(self, state: Any, observation: Observation) -> Any:

@@ -1,4 +1,4 @@
-"""Relocalisation: the road's height, slopes and curvature from the place of the shown pattern in the whole image.
+"""Relocalisation: the road's height, slopes and curvature from the place of the lamps' pattern in the whole image.
 
 All light of a lamp leaves one point, so a road's shape gives the image point of each ray's light. The image is sampled there and compared
 with the pattern in the lamp's coordinates by normalised cross-correlation, which is independent of the symbol's brightness and size. Many
@@ -38,7 +38,7 @@ FAINT_PX = 20.0  # least lit pixels of a pattern
 
 @dataclass(frozen=True)
 class Relocalisation:
-    """A road's shape `[4]`, its correlation, and that of a flat road; at most 1."""
+    """Result of a search. shape: `[4]` of the road. match: its correlation, at most 1. flat: correlation of a flat road."""
 
     shape: Tensor
     match: float
@@ -52,9 +52,10 @@ class Relocalisation:
 
 @dataclass(frozen=True)
 class Pattern:
-    """Rays of a lamp. origin: `[3]` m. rays: `[3, rows, cols]`.
+    """The light pattern of a module along a grid of rays.
 
-    values: `[rows, cols]`, mean light around each ray, at most 1. lit: `[rows, cols]`, lit share around each ray.
+    values: `[rows, cols]`, mean intensity around each ray over the maximum. lit: `[rows, cols]`, lit share around each ray. origin: `[3]`
+    m. rays: `[3, rows, cols]`, directions.
     """
 
     values: Tensor
@@ -64,7 +65,7 @@ class Pattern:
 
     @classmethod
     def of(cls, texture: Tensor, grid: TexelGrid, T_ground_headlight: Tensor) -> Self | None:
-        """The lit part of a light texture `[rows, cols]` cd with its surroundings; None if all is dark."""
+        """The pattern of the lit part of a light texture `[rows, cols]` cd with a dark margin; None for a dark texture."""
         lit = texture > DIM * texture.max()
         if not bool(lit.any()):
             return None
@@ -84,7 +85,7 @@ class Pattern:
 
 
 def _extent(lit: Tensor) -> tuple[int, int]:
-    """First and last lit index, with the margin."""
+    """First lit index and the index after the last, with the margin."""
     places = lit.nonzero()[:, 0].tolist()
     margin = math.ceil(MARGIN * (places[-1] + 1 - places[0]))
     return places[0] - margin, places[-1] + 1 + margin
@@ -99,9 +100,7 @@ class Relocaliser:
     x0_m: float
 
     def find(self, symbol: Tensor, textures: Sequence[Tensor]) -> Relocalisation:
-        """The road shape that best explains the places of the textures' light in a symbol image `[height, width]`. textures: one a
-        module.
-        """
+        """The road shape with the best correlation of textures, one a module, with a symbol image `[height, width]`."""
         patterns = self._patterns(textures)
         if not patterns or float(symbol.sum()) < FAINT_PX:
             return Relocalisation(symbol.new_zeros(4), 0.0, 0.0)
@@ -139,7 +138,7 @@ class Relocaliser:
         return [pattern for pattern in found if pattern is not None]
 
     def _matches(self, shapes: Tensor, image: Tensor, patterns: Sequence[Pattern]) -> Tensor:
-        """Correlation `[k]` of patterns with an image `[1, 1, height, width]`, sampled at the places that shapes `[k, 4]` predict."""
+        """Correlation `[k]` of patterns with an image `[1, 1, height, width]` for road shapes `[k, 4]`, less the cost of unusual shapes."""
         possible = (shapes.abs() <= shapes.new_tensor((HIGHEST_M, STEEPEST, STEEPEST, CURVED))).all(-1)
         unusual = WORTH * (shapes / shapes.new_tensor(USUAL)).square().log1p().sum(-1)
         return torch.where(possible, torch.stack([self._match(shapes, image, each) for each in patterns]).mean(0) - unusual, -1.0)
@@ -152,16 +151,14 @@ class Relocaliser:
         return seen @ values / (seen.norm(dim=-1) * values.norm()).clamp(min=1e-6)
 
     def _seen_at(self, shapes: Tensor, pattern: Pattern) -> Tensor:
-        """Image coordinates `[k, 2, rays]` px of the points where a pattern's rays meet roads of shapes `[k, 4]`; far outside if they do
-        not.
-        """
+        """Image coordinates `[k, 2, rays]` px where a pattern's rays meet roads of shapes `[k, 4]`; far outside for rays that miss."""
         rays = pattern.rays.flatten(1)
         share = ray_lengths(shapes, self.x0_m, pattern.origin, rays).clamp(max=FARTHEST_M)
         uv, depth = self.view.project((pattern.origin[:, None, None] + rays[:, None] * share).flatten(1))
         return torch.where(depth > NEAREST_M, uv, NOWHERE_PX).view(2, *share.shape).transpose(0, 1)
 
     def _trial_shapes(self, pattern: Pattern) -> Tensor:
-        """Shapes `[k, 4]` that meet the middle ray of a pattern at distances some image rows apart, with all slopes at each."""
+        """Trial shapes `[k, 4]`: all combinations of SLOPES with points of the pattern's middle ray that are ROWS image rows apart."""
         middle = pattern.rays[:, GRID[0] // 2, GRID[1] // 2]
         x = torch.linspace(*DISTANCES_M, 2000).to(middle)
         points = pattern.origin[:, None] + middle[:, None] * ((x - pattern.origin[0]) / middle[0])

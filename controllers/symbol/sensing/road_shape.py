@@ -13,8 +13,9 @@ from luxloop.world.frames import pose, rotation, transform
 
 
 def ray_lengths(shape: Tensor, x0_m: float, origin: Tensor, rays: Tensor) -> Tensor:
-    """Multiples `[k, ...]` of rays `[3, ...]` from an origin `[3]` m at which they meet roads of shapes `[k, 4]`, infinite if never: the
-    first positive root of a quadratic, in the form that also holds without curvature.
+    """Lengths `[k, ...]`, in multiples of rays `[3, ...]` from an origin `[3]` m, up to roads of shapes `[k, 4]`; infinite if a ray misses.
+
+    First positive root of a quadratic, in the form that also holds without curvature.
     """
     a, b, c, d = (each.view(-1, *(1,) * (rays.dim() - 1)) for each in shape.unbind(-1))
     x = origin[0] - x0_m
@@ -33,33 +34,33 @@ def height(shape: Tensor, x0_m: float, x: Tensor, y: Tensor) -> Tensor:
     return a + b * (x - x0_m) + c * y + d / 2 * (x - x0_m) ** 2
 
 
-HERE: Final = torch.eye(4, dtype=torch.float64)  # the plane z = 0 that the vehicle stands on
-LEAST_HEIGHT_M = 0.25  # least height of a lamp over a plane, which would otherwise be edge-on
+HERE: Final = torch.eye(4, dtype=torch.float64)  # pose of the plane z = 0 under the vehicle
+LEAST_HEIGHT_M = 0.25  # least height of a lamp above a plane; below it the plane is seen edge-on
 MARGIN = 0.1  # margin of a rectangle on every side, of the light's length and width
 
 
 def inclined_plane(at: Tensor, slope_x: Tensor, slope_y: Tensor) -> Tensor:
-    """Pose `[..., 4, 4]` of a plane through places `[..., 3]` m that rises by slopes `[...]` along x and y; its x axis points along x."""
+    """Pose `[..., 4, 4]` of a plane through points `[..., 3]` m with slopes `[...]` along x and y, without yaw."""
     pitch = -slope_x.atan()
     return pose(at, rotation((slope_y * pitch.cos()).atan(), pitch))
 
 
-def touching(at: Tensor, slope_x: Tensor, slope_y: Tensor, x_m: float, y_m: float) -> Tensor:
-    """The inclined plane `[..., 4, 4]` at places `[..., 3]` m, in a frame where these have the coordinates x_m, y_m, 0."""
+def tangent_plane(at: Tensor, slope_x: Tensor, slope_y: Tensor, x_m: float, y_m: float) -> Tensor:
+    """The inclined plane `[..., 4, 4]` through points `[..., 3]` m, with the points at coordinates x_m, y_m, 0 of the plane."""
     T = inclined_plane(at, slope_x, slope_y)
     T[..., :3, 3] -= T[..., :3, :2] @ T.new_tensor([x_m, y_m])
     return T
 
 
 def below_lamps(at: Tensor, slope_x: Tensor, slope_y: Tensor, lamps: Tensor) -> Tensor:
-    """The inclined plane `[4, 4]` at a place `[3]` m, made less steep if needed to lie LEAST_HEIGHT_M below lamps `[m, 3]` m."""
+    """The inclined plane `[4, 4]` at a point `[3]` m, made less steep if needed to lie LEAST_HEIGHT_M below lamps `[m, 3]` m."""
     over = lamps - at  # [m, 3]
     steepest = ((LEAST_HEIGHT_M - over[:, 2] + slope_y * over[:, 1]) / -over[:, 0]).max()
     return inclined_plane(at, torch.maximum(slope_x, steepest), slope_y)
 
 
-def holding(T: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, tuple[float, float]]:
-    """Pose `[4, 4]`, length and width in m of the rectangle on a plane at `[4, 4]` from low to high x, y `[2]` m, and the MARGIN around."""
+def bounding_rectangle(T: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, tuple[float, float]]:
+    """Pose `[4, 4]`, length and width in m of a rectangle on a plane at `[4, 4]`, from low to high x, y `[2]` m with the MARGIN."""
     length, width = ((high - low) * (1 + 2 * MARGIN)).tolist()
     centre = transform(T, torch.cat([(low + high) / 2, low.new_zeros(1)])[:, None])[:, 0]
     return pose(centre, T[:3, :3]), (length, width)

@@ -14,23 +14,24 @@ from luxloop.controllers.symbol.sensing.projector import Projector
 from luxloop.controllers.symbol.sensing.relocalisation import Relocalisation, Relocaliser
 from luxloop.perception.appearance import Appearance, error_indices, errors
 from luxloop.perception.camera import CameraParams, camera_view
-from luxloop.perception.extraction import Crop, Extraction, ExtractionStatus, difference, gate, symbol_image, symbol_images, threshold
+from luxloop.perception.extraction import Extraction, ExtractionStatus, difference, gate, symbol_image, threshold
+from luxloop.world.texels import NOWHERE, Window
 
-LIT = 0.5  # lit share above which a pixel counts as the symbol's
-ENDS = 0.1  # of a footprint's rows, at its near and its far end
+LIT = 0.5  # lit share above which a pixel belongs to the symbol
+ENDS = 0.1  # share of a footprint's rows that are its near end, and its far end
 
 
 @dataclass(frozen=True)
 class Measurement:
     """One measurement of the symbol.
 
-    code: `[...]` int64, an `ExtractionStatus`. errors: `[..., 4]`, e_x, e_y, e_roll, e_pitch in the units of the features, valid if it is
-    seen; measured features minus the flat model's target. That target is fixed to the body, so body motion causes errors even for a symbol
-    at its place on the ground; see the motion in `Projection`. pose_error: `[..., 4]`, the same in m and rad of x, y, roll, pitch, each
-    divided by its plant gain. area_ratio: `[...]`, measured over expected. appearance: five centroids and second moments. symbol: `[..., h,
-    w]` in 0..1, the lit share of each pixel, cut from the camera's image at crop. crop: in px. shape: `[4]` of the road of the search
-    (`luxloop.controllers.symbol.sensing.road_shape`), None for a flat one. acquired: result of a search of the whole image, None without a
-    search.
+    code: `[...]` int64, an `ExtractionStatus`. errors: `[..., 4]`, e_x, e_y, e_roll, e_pitch in the units of the features: measured
+    features minus the flat model's target; valid if the symbol is seen. The target is fixed to the body, so body motion causes errors even
+    for a symbol at its place on the ground; `Projection.ego` has the motion. pose_error: `[..., 4]`, the errors in m and rad of x, y, roll,
+    pitch, each divided by its plant gain. area_ratio: `[...]`, measured over expected area. appearance: five centroids and second moments.
+    symbol: `[..., h, w]` in 0..1, lit share of each pixel of the crop. crop: window of the camera's image. shape: `[4]` of the road assumed
+    for the crop (`luxloop.controllers.symbol.sensing.road_shape`), None for a flat road. acquired: result of a search of the whole image,
+    None without a search.
     """
 
     code: Tensor
@@ -39,7 +40,7 @@ class Measurement:
     area_ratio: Tensor
     appearance: Appearance
     symbol: Tensor
-    crop: Crop
+    crop: Window
     shape: Tensor | None = None
     acquired: Relocalisation | None = None
 
@@ -48,7 +49,7 @@ class Measurement:
 class SymbolSensor:
     """Extraction in the predicted footprint, gated by the expected area; errors against the flat model's target.
 
-    A symbol missing from the footprint is searched for in the whole image. projector: drawing lamps and symbol. model: of the flat road.
+    A symbol missing from the footprint is searched for in the whole image. projector: drawing modules and symbol. model: of the flat road.
     camera: its parameters. params: of extraction. searches: whether whole images are searched.
     """
 
@@ -60,7 +61,7 @@ class SymbolSensor:
 
     @cached_property
     def relocaliser(self) -> Relocaliser:
-        """Searches whole images."""
+        """The search of whole images."""
         return Relocaliser(self.projector.modules, camera_view(self.camera), self.projector.params.x_m)
 
     def measure(
@@ -70,11 +71,11 @@ class SymbolSensor:
         lights: Sequence[Utilisation],
         shape: Tensor | None = None,
     ) -> Measurement:
-        """Measure the symbol in on and off frame `[height, width]` (digital numbers) that show the light of a projection.
+        """Measure the symbol in on and off frame `[height, width]` (digital numbers) of the light of a projection.
 
-        frames: None if lost. lights: shown utilisations, one a module. shape: `[4]` of the road of the previous measurement, None for a
-        flat one; dropped when the symbol fits a flat road and no longer this one. In a batch `[..., height, width]` lost symbols are not
-        searched for.
+        frames: None if lost. lights: utilisations in the frames, one a module. shape: `[4]` of the road of the previous measurement, None
+        for a flat road; a flat road replaces the shape once the symbol fits only the flat road. No search of whole images for a batch
+        `[..., height, width]`.
         """
         if frames is None:
             return replace(self.lost(projection.pose, ExtractionStatus.NO_FRAME), shape=shape)
@@ -103,7 +104,7 @@ class SymbolSensor:
     def _measure_at(
         self, frames: tuple[Tensor, Tensor], projection: ProjectionCommand, lights: Sequence[Utilisation], shape: Tensor | None
     ) -> Measurement:
-        """Measure in the footprint on a road of this shape."""
+        """Measure in the footprint on a road of a shape `[4]`; None: flat."""
         crop = self.projector.footprint(projection, self.model.eye.view, self.params.footprint_margin_m, shape)
         if crop.v_stop - crop.v_start < 2 or crop.u_stop - crop.u_start < 2:
             return replace(self.lost(projection.pose, ExtractionStatus.NOTHING), shape=shape)
@@ -120,11 +121,10 @@ class SymbolSensor:
         top, bottom = (bool((end > LIT).any()) for end in (seen.symbol[:rows], seen.symbol[-rows:]))
         return (top and seen.crop.v_start > 0) or (bottom and seen.crop.v_stop < self.model.eye.view.height)
 
-    def compare(self, on: Tensor, off: Tensor, expected: tuple[Tensor, Tensor], crop: Crop) -> Measurement:
-        """Measure frames `[..., h, w]` (digital numbers) cut at crop, against the contrast and threshold expected on the flat road."""
-        found = difference(on, off, self.camera), threshold(off, self.camera, self.params)
-        symbol, expected_symbol = symbol_images(found, expected, self.params)
-        seen, area = self.model.eye.look_beside(symbol, expected_symbol, crop)
+    def compare(self, on: Tensor, off: Tensor, expected: tuple[Tensor, Tensor], crop: Window) -> Measurement:
+        """Measure on and off frame `[..., h, w]` (digital numbers) of a crop, against contrast and threshold of the flat road."""
+        symbol = symbol_image(difference(on, off, self.camera), threshold(off, self.camera, self.params), self.params)
+        seen, area = self.model.eye.look_beside(symbol, symbol_image(*expected, self.params), crop)
         error = errors(self.model.eye.features(seen), self.model.target)
         return Measurement(gate(seen.area, area, self.params), error, self.pose_error(error), seen.area / area, seen, symbol, crop)
 
@@ -143,4 +143,4 @@ class SymbolSensor:
         batch = pose.shape[:-1]
         nothing = Appearance(nan[..., 0], pose.new_full((*batch, 5, 2), torch.nan), nan[..., 0], nan[..., 0])
         code = torch.full(batch, reason, dtype=torch.int64, device=pose.device)
-        return Measurement(code, nan, nan, torch.zeros_like(nan[..., 0]), nothing, pose.new_zeros(*batch, 0, 0), Crop(0, 0, 0, 0))
+        return Measurement(code, nan, nan, torch.zeros_like(nan[..., 0]), nothing, pose.new_zeros(*batch, 0, 0), NOWHERE)

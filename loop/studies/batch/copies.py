@@ -8,8 +8,8 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from luxloop.controllers.pixels.ssc import Ssc, Utilisation, WindowedSsc, serves
-from luxloop.controllers.pixels.windows import Window, union
+from luxloop.controllers.pixels.ssc import Ssc, Utilisation, WindowedSsc, window_suffices
+from luxloop.controllers.pixels.windows import union
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.controllers.symbol.stages import SURE
@@ -20,16 +20,16 @@ from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.batch.drawing import ModulePart, rays_at, utilisations
 from luxloop.perception.appearance import Appearance
 from luxloop.perception.camera import expose
-from luxloop.perception.extraction import Crop, ExtractionStatus
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.perception.metrics import Metrics, evaluate
 from luxloop.perception.noise import FrameNoise
 from luxloop.world.errors import LuxloopError
 from luxloop.world.light.illumination import Transport, added_light
 from luxloop.world.rendering.rasterise import check_process
 from luxloop.world.spmv import Csr, multiply
+from luxloop.world.texels import NOWHERE, Window
 
 Lights = tuple[Utilisation, ...]
-EMPTY = Crop(0, 0, 0, 0)
 MARGIN_PX, MARGIN_TEXELS = 16, 32  # margins of the prepared parts of image and light textures, since poses move
 TOGETHER = 16  # images evaluated at once; more do not fit the processor's cache
 TIMES = ("start_s", "stop_s", "indicated", "when", "unless")
@@ -91,19 +91,12 @@ class Part:
     matrices of each module from its pixels to the crop, on the world's road and on the flat road.
     """
 
-    crop: Crop
+    crop: Window
     resting: Tensor
     base: Tensor
     limit: Tensor
     modules: tuple[ModulePart, ...]
     roads: tuple[tuple[Csr, Csr], ...]
-
-    def within(self, crop: Crop) -> tuple[slice, slice]:
-        """Slices of a crop of the image, relative to this part."""
-        return (
-            slice(crop.v_start - self.crop.v_start, crop.v_stop - self.crop.v_start),
-            slice(crop.u_start - self.crop.u_start, crop.u_stop - self.crop.u_start),
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +111,8 @@ class SymbolLight:
 
     projection: ProjectionCommand
     part: Part
-    footprints: Sequence[Crop]
-    windows: Sequence[Crop]
+    footprints: Sequence[Window]
+    windows: Sequence[Window]
     added: Tensor
     flat: Tensor
     sums: Tensor
@@ -141,7 +134,7 @@ class Copies:
         beams = [module.base(plan) for module in simulation.modules]
         self.resting = tuple(Utilisation(beam, None if bool(beam.any()) else slice(0, 0)) for beam in beams)
         primitive = self.projector.primitive(self.projector.target)
-        self.windowed = all(serves(each.pixel_controller, primitive, each.T_body_headlight) for each in self.projector.modules)
+        self.windowed = all(window_suffices(each.pixel_controller, primitive, each.T_body_headlight) for each in self.projector.modules)
         self._part: Part | None = None
 
     def show(self, projection: ProjectionCommand | Tensor) -> SymbolLight:
@@ -151,10 +144,10 @@ class Copies:
             projection = ProjectionCommand(projection)
         footprints = self.projector.footprints(projection, self.sensor.model.eye.view, self.sensor.params.footprint_margin_m)
         windows = same_size(
-            [EMPTY if min(each.v_stop - each.v_start, each.u_stop - each.u_start) < 2 else each for each in footprints],
+            [NOWHERE if min(each.v_stop - each.v_start, each.u_stop - each.u_start) < 2 else each for each in footprints],
             self.view.base.shape,
         )
-        needed = hull([each for each in windows if each != EMPTY])
+        needed = union(windows)
         drawn: list[tuple[Tensor, ...]]
         if self.windowed:  # on the parts of light texture, lamp and image that the symbols touch
             modules = self.projector.modules
@@ -184,7 +177,7 @@ class Copies:
         gradients.
         """
         seen = [self.sensor.lost(pose, ExtractionStatus.NOTHING) for pose in light.projection.pose]
-        in_view = [k for k, window in enumerate(light.windows) if window != EMPTY]
+        in_view = [k for k, window in enumerate(light.windows) if window != NOWHERE]
         together = 1 if self.sensor.model.eye.plane is not None else TOGETHER  # plane coordinates are of one window
         for first in range(0, len(in_view), together):
             some = in_view[first : first + together]
@@ -208,7 +201,7 @@ class Copies:
             Utilisation(module.pixel_controller.default.index_copy(0, part.pixels, u))
             for module, part, u in zip(self.projector.modules, light.part.modules, light.drawn[k], strict=True)
         ]
-        found = self.sensor.relocalise(self._expose(on, self._resting, self.view.base, conditions, Crop(0, height, 0, width)), lights)
+        found = self.sensor.relocalise(self._expose(on, self._resting, self.view.base, conditions, Window(0, height, 0, width)), lights)
         risen = found.shape[0].abs() > self.sensor.params.footprint_margin_m
         return bool(found.match > SURE) and bool(found.found) and bool(risen)
 
@@ -222,7 +215,7 @@ class Copies:
         part, windows = light.part, [light.windows[k] for k in chosen]
         parts, own = [], []  # frames, and flat light with threshold; footprint in the window
         for k, window, conditions in zip(chosen, windows, frames, strict=True):
-            at, footprint = part.within(window), light.footprints[k].slices
+            at, footprint = window.within(part.crop), light.footprints[k].slices
             inside = [
                 slice(each.start - start, each.stop - start)
                 for each, start in zip(footprint, (window.v_start, window.u_start), strict=True)
@@ -256,7 +249,7 @@ class Copies:
         ]
 
     def _expose(
-        self, on: Tensor, off: Tensor, base: Tensor, conditions: Conditions, crop: Crop, quantise: bool = True
+        self, on: Tensor, off: Tensor, base: Tensor, conditions: Conditions, crop: Window, quantise: bool = True
     ) -> tuple[Tensor, Tensor]:
         """On and off frames of luminances `[h, w]` at a crop of the image. base: luminance without the lamps."""
         camera, noisy = self.simulation.scenario.camera, conditions.disturbances.noise_factor(conditions.step)
@@ -269,24 +262,27 @@ class Copies:
 
         return frame(0, on), frame(1, off)
 
-    def _reach(self, needed: Crop, windows: Sequence[Window | None]) -> Part:
+    def _reach(self, needed: Window, windows: Sequence[Window | None]) -> Part:
         """Part of the image with a crop, and parts of the modules with windows of their light textures; None for whole textures."""
         old, width = self._part, self.view.base.shape[1]
         if old is not None:
             before = [each.window for each in old.modules]
-            if (needed == EMPTY or old.crop.holds(needed)) and all(
+            if (needed == NOWHERE or old.crop.holds(needed)) and all(
                 a is None or b is None or a.holds(b) for a, b in zip(before, windows, strict=True)
             ):
                 return old
         controllers = [each.pixel_controller for each in self.projector.modules]
-        around = [window and window.widen(MARGIN_TEXELS, each.headlight) for window, each in zip(windows, controllers, strict=True)]
+        around = [
+            window and window.widen(MARGIN_TEXELS, each.headlight.rows, each.headlight.cols)
+            for window, each in zip(windows, controllers, strict=True)
+        ]
         if old is not None:
             around = [a and b and union([a, b]) for a, b in zip(before, around, strict=True)]
         modules = tuple(map(ModulePart.of, controllers, around))
         transports = [cast(Transport, self.view.transports[number]) for number in self.symbol.drawn_by]
         reached = [each.crop(transport, width) for each, transport in zip(modules, transports, strict=True)] if self.windowed else []
-        crop = hull([each for each in (needed, *reached) if each != EMPTY]).widen(MARGIN_PX, *self.view.base.shape)
-        crop = crop if old is None else hull([crop, old.crop])
+        crop = union([needed, *reached]).widen(MARGIN_PX, *self.view.base.shape)
+        crop = crop if old is None else union([crop, old.crop])
         roads = tuple(
             (on_world.onto(crop.slices, width, each.pixels), on_flat.onto(crop.slices, width, each.pixels))
             for each, on_world, on_flat in zip(modules, transports, self.sensor.model.transports, strict=True)
@@ -297,19 +293,11 @@ class Copies:
         return self._part
 
 
-def same_size(crops: Sequence[Crop], shape: Sequence[int]) -> list[Crop]:
+def same_size(crops: Sequence[Window], shape: Sequence[int]) -> list[Window]:
     """Crops of equal size around given crops, within an image of a shape; empty ones stay empty."""
     rows, columns = (max((each.stop - each.start for each in (crop.slices[n] for crop in crops)), default=0) for n in (0, 1))
     places = ((min(each.v_start, shape[0] - rows), min(each.u_start, shape[1] - columns)) for each in crops)
-    return [each if each == EMPTY else Crop(v, v + rows, u, u + columns) for each, (v, u) in zip(crops, places, strict=True)]
-
-
-def hull(crops: Sequence[Crop]) -> Crop:
-    """Smallest crop that contains all crops; empty without crops."""
-    if not crops:
-        return EMPTY
-    v, v_end, u, u_end = zip(*(vars(each).values() for each in crops), strict=True)
-    return Crop(min(v), max(v_end), min(u), max(u_end))
+    return [each if each == NOWHERE else Window(v, v + rows, u, u + columns) for each, (v, u) in zip(crops, places, strict=True)]
 
 
 def stack(seen: Sequence[Measurement]) -> Measurement:
@@ -319,4 +307,4 @@ def stack(seen: Sequence[Measurement]) -> Measurement:
     )
     shapes = zip(*(vars(each.appearance).values() for each in seen), strict=True)
     appearance = Appearance(*map(torch.stack, shapes))
-    return Measurement(code, errors, pose_error, area_ratio, appearance, errors.new_zeros(len(seen), 0, 0), EMPTY)
+    return Measurement(code, errors, pose_error, area_ratio, appearance, errors.new_zeros(len(seen), 0, 0), NOWHERE)

@@ -13,10 +13,10 @@ from luxloop.controllers.pixels.mapping import stroke_light
 from luxloop.controllers.pixels.primitives import U_ABS, Primitives
 from luxloop.controllers.pixels.rthc import GRAZING, RayBatch
 from luxloop.controllers.pixels.ssc import PixelController, Ssc, WindowedSsc
-from luxloop.controllers.pixels.windows import Window, row_bands
-from luxloop.perception.extraction import Crop
+from luxloop.controllers.pixels.windows import row_bands
 from luxloop.world.light.illumination import Transport
 from luxloop.world.spmv import multiply, numbers, row_of_entries
+from luxloop.world.texels import NOWHERE, Window
 
 
 def rays_at(controller: Ssc, primitives: Primitives, T_world_headlight: Tensor) -> RayBatch:
@@ -57,15 +57,15 @@ class ModulePart:
     def window(self) -> Window | None:
         return None if self.drawn is None else self.drawn.window
 
-    def crop(self, transport: Transport, width: int) -> Crop:
-        """Crop that its pixels light in an image of this width."""
+    def crop(self, transport: Transport, width: int) -> Window:
+        """Window that its pixels light in an image of this width."""
         matrix = transport.matrix
         lit = torch.unique_consecutive(row_of_entries(matrix)[numbers(self.pixels, matrix.n_cols)[matrix.indices] >= 0])
         if not len(lit):
-            return Crop(0, 0, 0, 0)
+            return NOWHERE
         index = transport.index[lit]
         (top, left), (bottom, right) = (each.tolist() for each in torch.stack([index // width, index % width]).aminmax(dim=1))
-        return Crop(top, bottom + 1, left, right + 1)
+        return Window(top, bottom + 1, left, right + 1)
 
 
 def utilisations(drawn: WindowedSsc, rays: RayBatch) -> Iterator[Tensor]:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from luxloop.controllers.functions.own import KEY, CheckedAdaptive, CheckedFunction, OwnFunction, check_primitives, function_of
+from luxloop.controllers.functions.own import KEY, CheckedFunction, OwnFunction, check_primitives, function_of
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.situation import Situation
 from luxloop.loop.simulation.result import StepResult
@@ -58,11 +58,11 @@ def check_function(function: type, options: Mapping[str, Any] | None = None, dev
     name, simulation = name_of(function), world(SCENARIO, device)
     with locate("check_function"):
         made = function_of(function, OwnFunction(kind=name, options=dict(options or {})))
-        calls = ADAPTIVE_CALLS if isinstance(made, CheckedAdaptive) else CALLS
-        check_calls(made.own, calls | ({"commands": ("now",)} if hasattr(function, "commands") else {}))
-        watched = (WatchedAdaptive if isinstance(made, CheckedAdaptive) else WatchedFunction)(made.own)
+        calls = ADAPTIVE_CALLS if made.adaptive else CALLS
+        check_calls(made.own, calls | ({"commands": ("now",)} if made.commanding else {}))
+        watched = WatchedFunction(made.own, made.adaptive, made.commanding)
         results = _steps(replace(simulation, planner=replace(simulation.planner, functions={NAME: watched})))
-        if hasattr(function, "commands"):
+        if made.commanding:
             for each in results:
                 _twice(lambda now: pure(made.own, "commands", {"now": now}, "commands"), each.now)
         drawn = {k: each.plan.primitives.origin[0] for k, each in enumerate(results) if each.plan.primitives}
@@ -90,10 +90,6 @@ class WatchedFunction(CheckedFunction):
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """Checked primitives."""
         return _twice(lambda now: check_primitives(pure(self.own, "primitives", {"now": now}, "primitives"), self.own, "primitives"), now)
-
-
-class WatchedAdaptive(CheckedAdaptive):
-    """An adaptive lighting function whose calls are checked."""
 
     def start(self) -> Any:
         """Initial state, checked to be data."""

@@ -249,9 +249,9 @@ def test_a_perfect_tracker_reports_the_box_of_a_body() -> None:
 @pytest.mark.parametrize(
     ("kind", "given", "words"),
     [
-        (LaneParams, {"near_m": 20, "far_m": 20}, "far_m: 20 m is not beyond near_m = 20 m"),
-        (LaneParams, {"start_s": 2, "stop_s": 2}, "stop_s: 2 s is not after start_s"),
-        (GlareFreeParams, {"nearer_than_m": 20, "farther_than_m": 20}, "farther_than_m: no object"),
+        (LaneParams, {"near_m": 20, "far_m": 20}, "far_m: 20 is not above near_m = 20"),
+        (LaneParams, {"start_s": 2, "stop_s": 2}, "stop_s: 2 is not above start_s"),
+        (GlareFreeParams, {"nearer_than_m": 20, "farther_than_m": 20}, "nearer_than_m: 20 is not above farther_than_m"),
         (
             GlareFreeParams,
             {"soft_zones": [{"margin_m": 0.9, "u_rel": 0.5}, {"margin_m": 0.4, "u_rel": 0.3}]},

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from luxloop.controllers.pixels.mrpc import MrpcParams
+from luxloop.controllers.pixels.pixel_major import MrpcParams
 from luxloop.controllers.pixels.primitives import Primitives, concatenate, rectangle
 from luxloop.controllers.pixels.rthc import trace
 from luxloop.controllers.pixels.ssc import Ssc

@@ -7,7 +7,7 @@ import torch
 from torch.testing import assert_close
 
 from luxloop.controllers.pixels.morphing import Morph, Morphing, bend, level, roll
-from luxloop.controllers.pixels.mrpc import MrpcParams
+from luxloop.controllers.pixels.pixel_major import MrpcParams
 from luxloop.world.lamps.presets import idealised
 
 LAMP = idealised(20, 40)

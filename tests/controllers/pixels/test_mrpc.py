@@ -9,13 +9,15 @@ import torch
 from pydantic import ValidationError
 from torch import Tensor
 
-from luxloop.controllers.pixels.mrpc import FAINT, MrpcParams, pixel_major, reduce_setpoints
+from luxloop.controllers.pixels.mrpc import FAINT, reduce_setpoints
+from luxloop.controllers.pixels.pixel_major import MrpcParams, pixel_major
 from luxloop.controllers.pixels.primitives import I_V, QUANTITIES, Quantity
 from luxloop.controllers.pixels.rthc import Setpoints
-from luxloop.controllers.pixels.windows import Window, whole
+from luxloop.controllers.pixels.windows import whole
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.presets import idealised
 from luxloop.world.spmv import Csr
+from luxloop.world.texels import Window
 from tests.reference import ssc as reference
 
 ROWS, COLS, PIXELS = 6, 8, 12
@@ -48,7 +50,7 @@ def random_setpoints(seed: int, A: np.ndarray, quantity: Quantity, window: Windo
         value *= A.sum(1).reshape(ROWS, COLS)
     hit = generator.random((ROWS, COLS)) < 0.67
     value[~hit] = 0
-    cut = slice(window.row_start, window.row_stop), slice(window.col_start, window.col_stop)
+    cut = slice(window.v_start, window.v_stop), slice(window.u_start, window.u_stop)
     return Setpoints(torch.from_numpy(value[cut].copy()), torch.from_numpy(hit[cut].astype(float)), window, (QUANTITIES.index(quantity),))
 
 

@@ -10,8 +10,8 @@ import torch
 from numpy.typing import NDArray
 from torch.testing import assert_close
 
-from luxloop.controllers.pixels.mrpc import MrpcParams
 from luxloop.controllers.pixels.mrpc_tuning import RANGES, Part, TextureControl, Trial, part, tune
+from luxloop.controllers.pixels.pixel_major import MrpcParams
 from luxloop.controllers.pixels.primitives import rectangle
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.perception.metrics import mae

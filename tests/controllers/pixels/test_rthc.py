@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from luxloop.controllers.pixels.primitives import Primitives, concatenate, rectangle, road_symbol
-from luxloop.controllers.pixels.rthc import RayBatch, Setpoints, trace
-from luxloop.controllers.pixels.windows import Window, projected_windows, whole
+from luxloop.controllers.pixels.rthc import Setpoints, trace
+from luxloop.controllers.pixels.windows import projected_windows, whole
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised
+from luxloop.world.texels import Window
 from tests.reference import ssc as reference
 
 LAMP = idealised(10, 16)  # 40 x 32 texels
@@ -148,9 +149,7 @@ road_poses = st.tuples(st.floats(2, 60), st.floats(-8, 8), st.floats(-0.7, 0.7),
 
 
 def cut(setpoints: Setpoints, w: Window) -> tuple[Tensor, Tensor]:
-    return setpoints.value[w.row_start : w.row_stop, w.col_start : w.col_stop], setpoints.hit[
-        w.row_start : w.row_stop, w.col_start : w.col_stop
-    ]
+    return setpoints.value[w.v_start : w.v_stop, w.u_start : w.u_stop], setpoints.hit[w.v_start : w.v_stop, w.u_start : w.u_stop]
 
 
 @settings(max_examples=100)
@@ -169,25 +168,12 @@ def test_projected_window_holds_every_hit(pose: tuple[float, float, float, float
         torch.testing.assert_close(banded.value, value, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("roll", [-0.03, 0.05])
-def test_parts_of_a_primitive_hold_all_of_its_rays(roll: float) -> None:
-    grid = idealised(200, 320)  # 512,000 texels
-    one = road_symbol(torch.tensor([17.0, -2.5, roll, 0.0]), 0.0, 2.0, 9.0, torch.rand(8, 8), 1.0, "u_abs")
-    casting = RayBatch.prepare(one, grid, T_LEFT, projected_windows(one, grid, T_LEFT))
-    (whole_stroke,), parts = casting.strokes(), list(casting.strokes(in_parts=True))
-    image = torch.zeros_like(whole_stroke.hit)
-    for part in parts:
-        image[part.window.within(casting.window)] = part.hit * part.value
-    assert torch.equal(image, whole_stroke.hit * whole_stroke.value)
-    assert len(parts) > 1, "it slants, as seen from beside"
-
-
 def test_window_is_tight_and_cut_where_it_reaches_behind() -> None:
     wall = primitives(facing(10, half=0.3))
     (window,) = projected_windows(wall, LAMP, T_ORIGIN)
     hit = torch.nonzero(trace(wall, LAMP, T_ORIGIN).hit)
-    assert (hit.amin(0) - torch.tensor([window.row_start, window.col_start]) <= 1).all()
-    assert (torch.tensor([window.row_stop, window.col_stop]) - hit.amax(0) <= 2).all()
+    assert (hit.amin(0) - torch.tensor([window.v_start, window.u_start]) <= 1).all()
+    assert (torch.tensor([window.v_stop, window.u_stop]) - hit.amax(0) <= 2).all()
     around = primitives(((-5.0, 3.0, -1.0), (40.0, 0.0, 0.0), (0.0, -6.0, 0.0), 1.0))
     (ahead,) = projected_windows(around, LAMP, T_ORIGIN)
     assert ahead == Window(25, LAMP.rows, 0, LAMP.cols), "as high as its far end, which lies 35 m ahead"

@@ -8,7 +8,7 @@ import pytest
 import scipy.sparse as sp
 import torch
 
-from luxloop.controllers.pixels.mrpc import MrpcParams
+from luxloop.controllers.pixels.pixel_major import MrpcParams
 from luxloop.controllers.pixels.primitives import rectangle
 from luxloop.controllers.pixels.sampling import Sampling, rectangular, sample_weights
 from luxloop.controllers.pixels.ssc import Ssc

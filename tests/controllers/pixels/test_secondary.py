@@ -7,7 +7,7 @@ import torch
 import trimesh
 
 from luxloop.controllers.pixels.primitives import rectangle
-from luxloop.controllers.pixels.secondary import PotentialLight, SecondaryRays, scene_caster, seen_by, shares, street_light
+from luxloop.controllers.pixels.secondary import PotentialLight, SecondaryRays, scene_caster, shares, street_light, visible_from
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.world.frames import inverse, pose_from_degrees, transform
 from luxloop.world.lamps.presets import idealised
@@ -42,16 +42,16 @@ def test_an_observer_does_not_see_behind_a_box() -> None:
     occluded = scene_caster(Scene((Body("road", trimesh.creation.box((1000, 1000, 0.02))), box(10, 0, 1, (1, 2, 2)))).at(0.0))
     eye = torch.tensor([0.0, 0.0, 1.2], dtype=torch.float64)
     points = torch.tensor([[5.0, 20, 20, 9.5], [0, 0, 5, 0], [0, 0, 0, 1]], dtype=torch.float64)  # the last lies on the box
-    assert seen_by(points, eye, occluded).tolist() == [True, False, True, True]
+    assert visible_from(points, eye, occluded).tolist() == [True, False, True, True]
     batch = torch.stack([points, points.flip(-1)])
-    assert seen_by(batch, eye, occluded).tolist() == [[True, False, True, True], [True, True, False, True]]
+    assert visible_from(batch, eye, occluded).tolist() == [[True, False, True, True], [True, True, False, True]]
 
 
 def test_an_observer_sees_out_of_their_own_body() -> None:
     occluded = scene_caster(Scene((Body("road", trimesh.creation.box((1, 1, 1))), box(8, 0, 0.85, (1.8, 0.5, 1.7)))).at(0.0))
     eye = torch.tensor([8.0, 0.0, 1.6], dtype=torch.float64)
-    assert seen_by(torch.tensor([[15.0], [0.6], [0.0]], dtype=torch.float64), eye, occluded).all()
-    assert not seen_by(torch.tensor([[15.0], [0.0], [0.0]], dtype=torch.float64), eye - torch.tensor([8.0, 0, 0.5]), occluded).any()
+    assert visible_from(torch.tensor([[15.0], [0.6], [0.0]], dtype=torch.float64), eye, occluded).all()
+    assert not visible_from(torch.tensor([[15.0], [0.0], [0.0]], dtype=torch.float64), eye - torch.tensor([8.0, 0, 0.5]), occluded).any()
 
 
 FINE = idealised(166, 512)

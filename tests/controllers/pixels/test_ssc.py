@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.pixels.jpo import Jpo
-from luxloop.controllers.pixels.mrpc import MrpcParams
+from luxloop.controllers.pixels.pixel_major import MrpcParams
 from luxloop.controllers.pixels.primitives import Primitives, Quantity, concatenate, road_symbol
-from luxloop.controllers.pixels.ssc import Ssc, WindowedSsc, serves
+from luxloop.controllers.pixels.ssc import Ssc, WindowedSsc, window_suffices
 from luxloop.controllers.pixels.windows import union
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised
@@ -96,9 +96,9 @@ def test_pose_gradients_are_those_of_differences(batch: tuple[int, ...]) -> None
 def test_utilisations_are_those_of_the_whole_lamp(quantity: Quantity, value: float, params: MrpcParams) -> None:
     ssc = Ssc.prepare(LAMP, params)
     primitives = [road_primitive(pose, quantity, value) for pose in (TARGET, (18.0, 0.4, 0.01, 0.0), (15.5, -0.3, -0.02, 0.0))]
-    assert serves(ssc, primitives[0], T_LEFT)
+    assert window_suffices(ssc, primitives[0], T_LEFT)
     castings = [ssc.ray_batch(each, T_LEFT) for each in primitives]
-    part = WindowedSsc.of(ssc, union([each.window for each in castings]).widen(2, LAMP))
+    part = WindowedSsc.of(ssc, union([each.window for each in castings]).widen(2, LAMP.rows, LAMP.cols))
     beside = torch.ones(LAMP.n_pixels, dtype=torch.bool)
     beside[part.pixels] = False
     assert beside.any(), "the window is a part of the lamp"
@@ -111,9 +111,9 @@ def test_utilisations_are_those_of_the_whole_lamp(quantity: Quantity, value: flo
 
 def test_what_needs_more_than_a_windows_products_is_told() -> None:
     one, dark = road_primitive(TARGET), Ssc.prepare(LAMP)
-    assert not serves(dark.over(torch.full((LAMP.n_pixels,), 0.1)), one, T_LEFT), "a base beam shines beside it"
-    assert not serves(dark, concatenate(one, one), T_LEFT)
+    assert not window_suffices(dark.over(torch.full((LAMP.n_pixels,), 0.1)), one, T_LEFT), "a base beam shines beside it"
+    assert not window_suffices(dark, concatenate(one, one), T_LEFT)
     mask = replace(one, value=torch.zeros_like(one.value), weight=torch.full_like(one.weight, torch.inf))
-    assert not serves(dark, mask, T_LEFT)
+    assert not window_suffices(dark, mask, T_LEFT)
     for params in (MrpcParams(a_ac=0.5), MrpcParams(sharpening=1.0), MrpcParams(corrections=1), MrpcParams(upper_cd=100.0)):
-        assert not serves(Ssc.prepare(LAMP, params), one, T_LEFT)
+        assert not window_suffices(Ssc.prepare(LAMP, params), one, T_LEFT)

@@ -25,7 +25,7 @@ from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, Symbol
 from luxloop.perception import appearance
 from luxloop.perception.appearance import Appearance
 from luxloop.perception.camera import CameraParams, average_rows, camera_view, expose
-from luxloop.perception.extraction import Crop, ExtractionParams, ExtractionStatus
+from luxloop.perception.extraction import ExtractionParams, ExtractionStatus
 from luxloop.perception.noise import FrameNoise
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised
@@ -33,6 +33,7 @@ from luxloop.world.light.emitters import ambient_luminance
 from luxloop.world.materials.library import RoadSurfaceParams
 from luxloop.world.rendering.gbuffer import flat_road
 from luxloop.world.symbols import load_still
+from luxloop.world.texels import Window
 
 SYMBOLS = ["snowflake", "chevrons", "warning_triangle", "distance_warning"]
 RAW, PLANE = FeatureParams(), FeatureParams(view="birdseye", shape="moments")
@@ -203,7 +204,7 @@ def report(pose_error: Tensor, code: Tensor | int = ExtractionStatus.SEEN) -> Ob
     nan = torch.full(pose_error.shape[:-1], torch.nan)
     shape = Appearance(nan, nan[..., None, None].expand(*nan.shape, 5, 2), nan, nan)
     code = torch.as_tensor(code).expand(pose_error.shape[:-1])
-    seen = Measurement(code, pose_error, pose_error, nan, shape, torch.zeros(0, 0), Crop(0, 0, 0, 0))
+    seen = Measurement(code, pose_error, pose_error, nan, shape, torch.zeros(0, 0), Window(0, 0, 0, 0))
     return Observation(seen, None, Projection(ProjectionCommand(pose_error), ()))
 
 

@@ -11,7 +11,7 @@ from PIL import Image
 from torch import Tensor
 
 from luxloop import Observation, ProjectionCommand, Simulation, load
-from luxloop.controllers.symbol.heights.height_map import CELLS, FOLLOWED, HeightMap, drawn_on
+from luxloop.controllers.symbol.heights.height_map import CELLS, FOLLOWED, HeightMap, draw_on
 from luxloop.controllers.symbol.heights.registration import plane_sweep, semi_global
 from luxloop.controllers.symbol.sensing.projection import Warp
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
@@ -33,7 +33,7 @@ def relief(height: float, brightness: float = 1.0) -> HeightMap:
 
 
 def drawn(road: HeightMap, lamps: Tensor = LAMP[None]) -> tuple[ProjectionCommand, Warp]:
-    projection = drawn_on(road, lamps, SymbolParams(image="snowflake"), HERE)
+    projection = draw_on(road, lamps, SymbolParams(image="snowflake"), HERE)
     assert projection.warp is not None
     return projection, projection.warp
 

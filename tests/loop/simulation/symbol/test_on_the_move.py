@@ -14,7 +14,7 @@ from luxloop import Ego, load
 from luxloop.controllers.symbol.heights.body_filter import CELL_M, PARTS, BodyFilter, BodyParams, mode_response
 from luxloop.controllers.symbol.heights.feedforward import height_map_of
 from luxloop.controllers.symbol.heights.forward_model import ForwardModel
-from luxloop.controllers.symbol.heights.height_controller import HeightController, HeightControllerParams, laid
+from luxloop.controllers.symbol.heights.height_controller import HeightController, HeightControllerParams, flat_command
 from luxloop.controllers.symbol.heights.registration import Heights
 from luxloop.controllers.symbol.heights.road_map import RoadMap
 from luxloop.perception.birdseye import Region
@@ -164,7 +164,7 @@ def driven(
         ego = ego_of(samples, params, step / 30, 1 / 60)
         assert ego is not None
         body = BodyFilter.first(belief, ego, 16.0, 17.0) if body is None else body.update(ego)
-        way = body.unknown_m()
+        way = body.unseen_way_m()
         heights = torch.from_numpy(np.stack([Long().z(way.numpy(), np.full(len(way), side * BODY.track_m / 2)) for side in (1, -1)]))
         body = body.with_road(way, heights, torch.full_like(heights, 1e-8 if known else 1e4))
         then = ego.time_s + 0.1
@@ -206,7 +206,7 @@ def test_what_is_known_of_the_body_stays_a_covariance(speed_m_s: float) -> None:
 def test_a_symbol_is_laid_on_the_ground_from_a_tilted_body(attitude: tuple[float, ...]) -> None:
     body = body_pose(torch.tensor(attitude, dtype=torch.float64), -2.2)
     target = torch.tensor([17.0, 0.5, 0.0, 0.0], dtype=torch.float64)
-    projector, projection = simulation_of(load("flat", SMALL)).symbol.projector, laid(target, inverse(body))
+    projector, projection = simulation_of(load("flat", SMALL)).symbol.projector, flat_command(target, inverse(body))
     flat, corners = (projector.primitive(each).corners().squeeze(0) for each in (target, projection.pose))
     corners[:, 2] += 0.0 if projection.z is None else float(projection.z)
     # the yaw that is left out is the product of roll and pitch, 1.7e-4 rad over 2 m
@@ -242,8 +242,8 @@ def test_the_road_ahead_is_taken_to_bend_on_as_the_ground_does() -> None:
     ego = replace(nodding(1.0), ground=torch.tensor([-0.3, 0.02, -0.4, 20 / radius_m]), speed_m_s=torch.tensor(20.0))
     body = BodyFilter.first(BODY, ego, 16.0, 17.0)
     nothing = controller.start(torch.tensor([17.0, 0.0, 0.0, 0.0])).road_map
-    assert not controller._heights(controller._bent(ego, body), nothing).any(), "the ground has still to learn the road"
-    base = controller._heights(controller._bent(ego, replace(body, way_m=20.0)), nothing)
+    assert not controller._heights(controller._curved_shape(ego, body), nothing).any(), "the ground has still to learn the road"
+    base = controller._heights(controller._curved_shape(ego, replace(body, way_m=20.0)), nothing)
     nodes, eye = nothing.nodes(), nothing.eye[:, None]
     road = nodes + (eye - nodes) * (base / nothing.eye[2])  # on the lines of sight
     torch.testing.assert_close(road[2], -((road[0] - ego.rear_x_m) ** 2) / (2 * radius_m), rtol=0, atol=1e-5)

@@ -49,7 +49,7 @@ def test_a_homography_is_found_and_undone(alignment: Alignment, kind: str) -> No
     found = alignment.register(image, kind)  # type: ignore[arg-type]
     assert alignment.residual(image) > 0.3
     # interpolating twice between cells of 4 cm blurs the edges of strokes that are 10 cm wide
-    assert alignment.residual(alignment.undone(image, found)) < 0.12
+    assert alignment.residual(alignment.undo(image, found)) < 0.12
 
 
 def test_heights_of_a_mesh_are_found_and_undone(alignment: Alignment) -> None:
@@ -57,7 +57,7 @@ def test_heights_of_a_mesh_are_found_and_undone(alignment: Alignment) -> None:
     hill = 0.02 * torch.sin(torch.linspace(0, 6.28, rows))[:, None].expand_as(alignment.still.heights)
     image = moved(alignment, Placement(torch.eye(3), hill, alignment.still.per_m, alignment.still.extent))
     before = alignment.residual(image)
-    assert alignment.residual(alignment.undone(image, alignment.register(image, "mesh"))) < before / 2
+    assert alignment.residual(alignment.undo(image, alignment.register(image, "mesh"))) < before / 2
 
 
 def test_where_nothing_has_moved_nothing_is_moved(alignment: Alignment) -> None:
