@@ -71,7 +71,7 @@ def tolerances(what: FeatureParams) -> dict[str, tuple[float, str]]:
 
 
 def compare(recorded: pa.Table, replayed: pa.Table, held: Mapping[str, FeatureParams], *, exact: bool = False) -> tuple[Difference, ...]:
-    """Columns out of tolerance, in the order of the file; texts and zeros must be equal.
+    """Columns out of tolerance, in the order of the file; texts, and columns of zeros, must be equal.
 
     held: features of each symbol under control, by name. Both tables have the columns of `replayed`; different numbers of steps are a
     difference of the column "step", a value in one table only is an infinite difference. exact: whether all tolerances are 0.
