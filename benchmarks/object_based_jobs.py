@@ -162,10 +162,10 @@ class Run:
         self.searches = {}
 
     def add(self, result: Evaluation, shared: Simulation) -> None:
-        own, step, eyes_lx = self.series, result.step, result.look.eyes_lx_max
+        own, step, eyes_lx = self.series, result.step, result.detections.eyes_lx_max
         own["flux_lm"].append(round(sum(power.flux_lm for power in result.powers.values()), 2))
         own["eyes_lx"].append(finite(eyes_lx))
-        for name, each in result.look.recognised.items():
+        for name, each in result.detections.recognised.items():
             if each.track is not None:
                 self.tracked[name].append(step)
             if step in evaluated_steps(name):
@@ -180,7 +180,7 @@ class Run:
             for seen in view.objects:
                 lx = result.illuminance[view.eyes & (view.surfaces.object_id == seen.object_id)]
                 if len(lx) and float(lx.max()) > DAZZLING_LX:
-                    own["dazzled"].append((step, result.look.recognised[seen.name].track is not None))
+                    own["dazzled"].append((step, result.detections.recognised[seen.name].track is not None))
         if step >= COMES:
             own["newcomer_lx"].append(finite(result.objects[NEWCOMER].lx_mean))
 
@@ -262,6 +262,6 @@ def track(situation: str, scenario: Mapping[str, Any], seeds: int) -> dict[str, 
         view = simulations[0].world.lit(results[0].time_s)
         visible = [each.visible * each.inside >= LEAST_VISIBLE for each in view.objects]
         for own, result in zip(found, results, strict=True):
-            tracks = result.look.tracks
+            tracks = result.detections.tracks
             own.look([each.name for each in view.objects], view.boxes, visible, tracks.boxes, tracks.number.tolist())
     return {"situation": situation, "runs": [each.counts() for each in found]}

@@ -191,10 +191,10 @@ def _first_look(simulation: Simulation) -> dict[str, Any]:
         return {}
     with locate(simulation.scenario.source):
         first = next((each for each in simulation.evaluations() if each.frame is not None), None)
-    if first is None or first.look is None:
+    if first is None or first.detections is None:
         return {"boxes": None, "lx_max": None, "known": simulation.truth is not None}
     lit = [each.lx_max for each in first.objects.values() if each.lx_max is not None]
-    return {"boxes": len(first.look.found), "lx_max": max(lit, default=None), "known": simulation.truth is not None}
+    return {"boxes": len(first.detections.found), "lx_max": max(lit, default=None), "known": simulation.truth is not None}
 
 
 def in_words(facts: dict[str, Any]) -> str:

@@ -173,7 +173,7 @@ def row(result: Evaluation) -> dict[str, Any]:
         values |= {f"functions.{name}.{key}": getattr(zone, key) for key in ZONE}
     for name, material in result.materials.items():
         values |= {f"functions.{name}.{material.quantity}": material.median, f"functions.{name}.wanted": material.wanted}
-    if (look := result.look) is not None:
+    if (look := result.detections) is not None:
         values |= {"tracks": len(look.tracks), "eyes_lx_max": look.eyes_lx_max, "eyes_lx_peak": look.eyes_lx_peak}
         values |= {"oncoming_lx_max": look.oncoming_lx_max, "road_lx_ratio_max": result.road_lx_ratio_max}
         if result.frame is not None:

@@ -57,8 +57,8 @@ class Tally:
         self._waiting &= self.simulation.waiting(result)
         self._last |= dict.fromkeys(result.held, result)
         self._covered |= {name: result for name, each in result.held.items() if each.measurement.code == ExtractionStatus.COVERED}
-        if result.look is not None:
-            self._findable |= {name for name, each in result.look.recognised.items() if each.findable}
+        if result.detections is not None:
+            self._findable |= {name for name, each in result.detections.recognised.items() if each.findable}
         self._own_lights |= {each.number: each.lights for each in result.exposures} if self._in_shadow else {}
         for frame in result.reception.frames:
             own = self._own_lights.pop(frame.number, None)

@@ -108,7 +108,7 @@ def _cameras(figure: SubFigure, simulation: Simulation, moments: Sequence[Evalua
     white = float(max(white_of(result, simulation) for result in moments))
     *before, end = moments
     figure.suptitle(fill(_legend(simulation), LEGEND), x=0.02, ha="left", fontsize=9)
-    if before and end.look is not None:
+    if before and end.detections is not None:
         for axes, result in zip(figure.subplots(2, 1), (before[0], end), strict=True):
             _camera(axes, simulation, result, white)
         return
@@ -142,7 +142,7 @@ def _camera(axes: Axes, simulation: Simulation, result: Evaluation, white: float
     axes.set(xlim=(-0.5, image.shape[1] - 0.5), ylim=(image.shape[0] - 0.5, -0.5), xticks=[], yticks=[])
     share = result.plan.base.share
     beam = simulation.base(result.plan.base.name) + (f" at {100 * share:.0f} %" if share < 1 else "")
-    watts = "" if result.look is None else f", {sum(power.watts for power in result.powers.values()):.1f} W"
+    watts = "" if result.detections is None else f", {sum(power.watts for power in result.powers.values()):.1f} W"
     asked = "asked for: " if shadow_of(simulation.scenario.plant) is not None else ""
     axes.set_title(f"Camera at {result.time_s:.2f} s, {asked}{beam}{watts}", weight="normal")
 

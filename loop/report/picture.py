@@ -57,12 +57,12 @@ def marks(result: Evaluation, simulation: Simulation) -> tuple[Mark, ...]:
     zones = tuple(_zone(name, each, view) for name, each in functions if isinstance(each, ZoneParams))
     held = (simulation.controlled[name].function.held for name in result.held if name in simulation.controlled)
     zones += tuple(Mark(_target(each, view), "target") for each in held)
-    if result.look is None:
+    if result.detections is None:
         there = (each for each in result.now.objects if each.since_s <= result.time_s < each.until_s)
         return (*zones, *(Mark(_around(each, view), _kind(each.name, result.masked)) for each in there))
     assert simulation.pipeline is not None
-    found = (Mark(_ring(box), "found") for box in result.look.found.boxes.tolist())
-    return (*zones, *found, *_tracks(result.look, simulation.pipeline.classes, result.masked))
+    found = (Mark(_ring(box), "found") for box in result.detections.found.boxes.tolist())
+    return (*zones, *found, *_tracks(result.detections, simulation.pipeline.classes, result.masked))
 
 
 def readable(marked: Iterable[Mark], character_px: float, width_px: int) -> tuple[Mark, ...]:
@@ -252,7 +252,7 @@ def captions(result: Evaluation, simulation: Simulation) -> list[tuple[str, tupl
         lines[2] += f", bend {math.degrees(base.bend):+.1f}, level {math.degrees(base.level):+.1f} deg"
     if base.share < 1:
         lines[2] += f" at {100 * base.share:.0f} %"
-    if result.look is not None:
+    if result.detections is not None:
         lines[3] += f", {sum(power.watts for power in result.powers.values()):.0f} W"
     if result.dark_lx_max is not None:
         lines.append(f"on masked objects: {result.dark_lx_max:.3g} lx")

@@ -4,13 +4,14 @@ The loop and its controllers never ask for it.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import torch
 from torch import Tensor
 
 from luxloop.controllers.functions.planner import Planner
+from luxloop.controllers.situation import Situation
 from luxloop.controllers.symbol.sensing.field import cut
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
@@ -92,16 +93,16 @@ class Evaluation(StepResult):
 
     masked: names of objects that must be dark. illuminance: `[height, width]` lx from the lamps alone, None where nobody asks for it.
     luminance: in cd/m^2 with all other light. The camera sees both; they are computed where they are read, None without the truth.
-    objects: by name, those that are there and have a category. look: None without a detector. symbols: those meant for an observer, from
-    their eyes. held: those that controllers hold; zones, materials: all by name. road_lx_ratio_max: see `over_setpoint`, None in
-    a step without evaluation. oncoming_s: since when those who come towards the car have been near enough.
+    objects: by name, those that are there and have a category. detections: None without a detector. symbols: those meant for an observer,
+    from their eyes. held: those that controllers hold; zones, materials: all by name. road_lx_ratio_max: see `over_setpoint`, None in a
+    step without evaluation. oncoming_s: since when those who come towards the car have been near enough.
     """
 
     masked: frozenset[str]
     illuminance: Tensor | None
     luminance: Tensor | None
     objects: Mapping[str, OnObject]
-    look: FrameDetections | None
+    detections: FrameDetections | None
     symbols: tuple[ObservedSymbol, ...]
     held: Mapping[str, SymbolStep]
     zones: Mapping[str, InZone]
@@ -142,66 +143,75 @@ class Evaluator:
         """Ids of the recorded objects by name: the tracked ones, or with a detector all that it should find."""
         if self.world is None:
             return {}
-        told = [item.category for item in self.scenario.all_objects]
-        wanted = enumerate(zip(self.world.scene.objects, told if self.pipeline is None else categories(self.world.given), strict=True), 1)
-        return {body.name: number for number, (body, category) in wanted if category is not None}
+        given = [item.category for item in self.scenario.all_objects] if self.pipeline is None else categories(self.world.given)
+        named = enumerate(zip(self.world.scene.objects, given, strict=True), 1)
+        return {body.name: number for number, (body, category) in named if category is not None}
+
+    @property
+    def _meter(self) -> World | None:
+        """The world, where its light is metered."""
+        return self.world if self.world is not None and self.world.metered else None
 
     def evaluate(self, result: StepResult, before: Evaluation | None = None) -> Evaluation:
         """The step with its figures. before: the evaluation of the step before, where there is one."""
-        clock, now, world, shares = Clock(), result.now, self.world, self.scenario.shares
-        known_s = {} if before is None else before.oncoming_s
-        oncoming_s = near_enough(world.lit(now.time_s), known_s, now.time_s) if self.pipeline and world and world.metered else {}
-        lights = result.exposures if world and world.metered else ()
-        metered = [world.on_objects(each.start_s, each.lights, each.commands) for each in lights] if world else []
-        look = self._detections(result, metered, [name for name, s in oncoming_s.items() if now.time_s - s >= DUE_S])
+        clock, now, meter, shares = Clock(), result.now, self._meter, self.scenario.shares
+        metered = [] if meter is None else [meter.on_objects(each.start_s, each.lights, each.commands) for each in result.exposures]
+        oncoming_s = self._oncoming(now, before)
+        detections = self._detections(result, metered, oncoming_s)
         masked = frozenset(each.name for each in now.objects if must_be_dark(self.scenario.functions, each, now))
-        told = self.recorded_ids  # by the names that functions use: with a detector those of tracks
-        if look is not None:
-            found = ((each.track, told.get(name)) for name, each in look.recognised.items())
-            told = {name_of(track): number for track, number in found if track is not None and number is not None}
-        shown = now.time_s, result.exposures[0].lights, now.commands
-        like = result.lights[0]
-        luminance = None if world is None else world.image(like, lambda part: world.luminance(*shown, part)[0])
-        illuminance = world.image(like, lambda part: world.illuminance(*shown)[part]) if world is not None and metered else None
+        ids = self._ids(detections)
+        illuminance, luminance = self._images(result)
         objects: Mapping[str, OnObject] = {}
         materials: Mapping[str, OnMaterial] = {}
-        symbols: tuple[ObservedSymbol, ...] = ()
-        if world is not None and illuminance is not None and luminance is not None:
-            objects = on_objects(self.recorded_ids, frozenset(told[name] for name in masked & told.keys()), metered, shares)
-            materials = on_materials(self.planner.functions, result.perception.functions, now, told, world, illuminance, luminance)
-            if (white := in_white(result.plan)) is not None:
-                whitened = [light.u for light in self.lamps.drive(white, now)[0]]
-                symbols = observed_symbols(result.plan, result.lights, whitened, world, now)
-        view = result.sense.view if world is None else world.view_from_ground(now.time_s)
-        zones = in_zones(self.planner.functions, result.planning.functions, luminance, view)
-        due = world is not None and bool(self.scenario.judge_every) and result.step % self.scenario.judge_every == 0
-        metrics = self._metrics(result) if due else {}
-        held = {
-            name: SymbolStep(each, cut(self.controlled[name].projector, each), result.control.measurements[name], metrics.get(name))
-            for name, each in result.planning.projections.items()
-        }
-        ratio = None
-        if world is not None and metered and due and self.pipeline is not None and self.planner.functions:
-            ratio = over_setpoint(self.lamps.aim(now), result.plan, result.exposures[0].lights, world.lit(now.time_s))
-        clock.lap("look")
-        timings = {part: result.timings.get(part, 0.0) + clock.ms.get(part, 0.0) for part in {**result.timings, **clock.ms}}
-        return Evaluation(
-            **(vars(result) | {"timings": timings}),
+        if meter is not None and illuminance is not None and luminance is not None:
+            objects = on_objects(self.recorded_ids, frozenset(ids[name] for name in masked & ids.keys()), metered, shares)
+            materials = on_materials(self.planner.functions, result.perception.functions, now, ids, meter, illuminance, luminance)
+        view = result.sense.view if self.world is None else self.world.view_from_ground(now.time_s)
+        due = self.world is not None and bool(self.scenario.judge_every) and result.step % self.scenario.judge_every == 0
+        evaluation = Evaluation(
+            **vars(result),
             masked=masked,
             illuminance=illuminance,
             luminance=luminance,
             objects=objects,
-            look=look,
-            symbols=symbols,
-            held=held,
-            zones=zones,
+            detections=detections,
+            symbols=self._observed_symbols(result),
+            held=self._held(result, self._metrics(result) if due else {}),
+            zones=in_zones(self.planner.functions, result.planning.functions, luminance, view),
             materials=materials,
-            road_lx_ratio_max=ratio,
+            road_lx_ratio_max=self._road_ratio(result) if due else None,
             oncoming_s=oncoming_s,
         )
+        clock.lap("look")
+        return replace(
+            evaluation, timings={key: result.timings.get(key, 0.0) + clock.ms.get(key, 0.0) for key in {**result.timings, **clock.ms}}
+        )
 
-    def _detections(self, result: StepResult, metered: list[ObjectLight], due: list[str]) -> FrameDetections | None:
-        """Of the newest frame, None without a detector. metered: light in each exposure of now. due: who must not be dazzled any more."""
+    def _oncoming(self, now: Situation, before: Evaluation | None) -> Mapping[str, float]:
+        """Since when those who come towards the car have been near enough, by name; nobody without a detector or a meter."""
+        if self.pipeline is None or self._meter is None:
+            return {}
+        return near_enough(self._meter.lit(now.time_s), {} if before is None else before.oncoming_s, now.time_s)
+
+    def _ids(self, detections: FrameDetections | None) -> Mapping[str, int]:
+        """Ids of objects by the names that functions use: with a detector those of tracks."""
+        ids = self.recorded_ids
+        if detections is None:
+            return ids
+        found = ((each.track, ids.get(name)) for name, each in detections.recognised.items())
+        return {name_of(track): number for track, number in found if track is not None and number is not None}
+
+    def _images(self, result: StepResult) -> tuple[Tensor | None, Tensor | None]:
+        """Illuminance, None where it is not metered, and luminance of the first exposure, None without the truth."""
+        world, like = self.world, result.lights[0]
+        if world is None:
+            return None, None
+        shown = result.now.time_s, result.exposures[0].lights, result.now.commands
+        luminance = world.image(like, lambda part: world.luminance(*shown, part)[0])
+        return world.image(like, lambda part: world.illuminance(*shown)[part]) if world.metered else None, luminance
+
+    def _detections(self, result: StepResult, metered: list[ObjectLight], oncoming_s: Mapping[str, float]) -> FrameDetections | None:
+        """Of the newest frame, None without a detector. metered: light in each exposure of now."""
         if self.pipeline is None:
             return None
         perception, classes = result.perception, self.pipeline.classes
@@ -211,8 +221,30 @@ class Evaluator:
             return FrameDetections(found, present)
         then = self.world.lit(perception.taken_s)
         false = false_positives(then, found, self.scenario.tracker.start_score)
+        due = [name for name, since_s in oncoming_s.items() if result.now.time_s - since_s >= DUE_S]  # who must not be dazzled any more
         eyes = on_eyes(self.world.given, due, metered, self.scenario.shares)
         return FrameDetections(found, present, recognise(then, present, found, classes), false, *eyes)
+
+    def _observed_symbols(self, result: StepResult) -> tuple[ObservedSymbol, ...]:
+        """Symbols from their observers' eyes, beside white ones; none where light is not metered."""
+        if self._meter is None or (white := in_white(result.plan)) is None:
+            return ()
+        whitened = [light.u for light in self.lamps.drive(white, result.now)[0]]
+        return observed_symbols(result.plan, result.lights, whitened, self._meter, result.now)
+
+    def _held(self, result: StepResult, metrics: Mapping[str, Metrics]) -> Mapping[str, SymbolStep]:
+        """The symbols that controllers hold, by name."""
+        return {
+            name: SymbolStep(each, cut(self.controlled[name].projector, each), result.control.measurements[name], metrics.get(name))
+            for name, each in result.planning.projections.items()
+        }
+
+    def _road_ratio(self, result: StepResult) -> float | None:
+        """Most light on the road as a share of its setpoint; None without a detector, functions, or a meter."""
+        if self._meter is None or self.pipeline is None or not self.planner.functions:
+            return None
+        lit = self._meter.lit(result.now.time_s)
+        return over_setpoint(self.lamps.aim(result.now), result.plan, result.exposures[0].lights, lit)
 
     def _metrics(self, result: StepResult) -> Mapping[str, Metrics]:
         """Of each symbol that is measured, from the light with it and without it."""

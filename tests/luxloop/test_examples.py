@@ -74,5 +74,5 @@ def test_what_the_body_s_motion_explains_of_a_pose_error_is_taken_out_as_interfa
 def test_the_tracker_keeps_whom_the_detector_finds() -> None:
     scenario = load("obl", ["steps=12", "tracker.kind=alpha_beta:AlphaBeta", "detector={kind='truth'}"])
     *_, last = prepare(scenario, "cpu").evaluations()
-    followed = {name: each.track for name, each in last.look.recognised.items()}
+    followed = {name: each.track for name, each in last.detections.recognised.items()}
     assert len(followed) == 4 and None not in followed.values() and len(set(followed.values())) == 4, followed

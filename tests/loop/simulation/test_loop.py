@@ -84,7 +84,7 @@ def test_masks_follow_tracks_and_darken_them() -> None:
 def test_late_frames_make_tracks_late() -> None:
     late, in_time = results("camera.latency_steps=2", "steps=7"), results("steps=5")
     assert [each.frame is None for each in late] == [True, True] + [False] * 5
-    assert [each.look is not None and len(each.look.tracks) for each in late] == [0, 0, 0, 0, 3, 3, 3]
+    assert [each.detections is not None and len(each.detections.tracks) for each in late] == [0, 0, 0, 0, 3, 3, 3]
     assert late[2].frame.equal(in_time[0].frame)  # no function has anything to do before a track is confirmed
 
 
@@ -103,8 +103,8 @@ def test_light_is_computed_once_however_late_its_frame_is_read(monkeypatch: pyte
 
 def test_a_track_is_predicted_where_frames_are_lost() -> None:
     *_, last = results("disturbances.drops=[{ from_step=4, until_step=6 }]", "steps=6")
-    assert last.frame is None and len(last.look.found) == 0 and len(last.look.tracks) == 3
-    made = last.look.recognised["walker"]  # whose track goes on as he does: they still overlap
+    assert last.frame is None and len(last.detections.found) == 0 and len(last.detections.tracks) == 3
+    made = last.detections.recognised["walker"]  # whose track goes on as he does: they still overlap
     assert made.track is not None and made.score == 0.0
 
 
@@ -121,7 +121,7 @@ def test_tracks_are_where_objects_are() -> None:
     true = {each.name: each for each in closed(detector=None).situation(last.time_s).objects}
     # A pixel of this camera's image is 0.6 m of the road at 15 m, and 1.9 m at 30 m; lengths are those of the class
     for name, length_m, most_m in (("walker", 0.5, 1.0), ("oncoming", 4.0, 3.0)):
-        found = next(each for each in last.now.objects if each.name == f"track_{last.look.recognised[name].track}")
+        found = next(each for each in last.now.objects if each.name == f"track_{last.detections.recognised[name].track}")
         assert float((found.T_world_object[:2, 3] - true[name].T_world_object[:2, 3]).norm()) < most_m
         assert found.category == true[name].category and found.size_m[0] == length_m
         assert found.size_m[2] == pytest.approx(true[name].size_m[2], rel=0.15)

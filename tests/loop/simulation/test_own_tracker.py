@@ -84,7 +84,7 @@ def scenario(**tracker: Any) -> Scenario:
 
 def looked(**tracker: Any) -> list[Any]:
     results = simulation_of(scenario(**tracker)).evaluations()
-    return [(each.look.tracks.boxes.tolist(), each.look.recognised, [o.name for o in each.now.objects]) for each in results]
+    return [(each.detections.tracks.boxes.tolist(), each.detections.recognised, [o.name for o in each.now.objects]) for each in results]
 
 
 @pytest.mark.usefixtures("own")

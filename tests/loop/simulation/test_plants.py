@@ -79,7 +79,7 @@ def test_without_truth_the_light_is_the_same_and_nobody_says_where_it_lies() -> 
     for each in blind:
         assert each.illuminance is None and each.luminance is None and not each.objects
         assert row(each)["functions.near.luminance"] is None and row(each)["dark_lx_max"] is None
-    assert any(len(each.look.tracks) for each in blind if each.look is not None), "the detector works on the frames"
+    assert any(len(each.detections.tracks) for each in blind if each.detections is not None), "the detector works on the frames"
 
 
 @pytest.mark.usefixtures("own")
