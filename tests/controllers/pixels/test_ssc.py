@@ -13,7 +13,10 @@ from luxloop.controllers.pixels.primitives import Primitives, Quantity, concaten
 from luxloop.controllers.pixels.ssc import Ssc, WindowedSsc, window_suffices
 from luxloop.controllers.pixels.windows import union
 from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.presets import idealised
+from luxloop.world.light.illumination import illuminance, lit_surface
+from luxloop.world.rendering.gbuffer import GBuffer
 from tests.refusal import refusal
 
 LAMP = idealised(10, 16)
@@ -75,6 +78,45 @@ def test_values_that_are_not_finite_are_refused(value: float) -> None:
         for scene in (broken, batch):
             with refusal(r"value is infinite or not a number; give a finite one"):
                 controller.utilisation(scene, T_LEFT)
+
+
+def road(x: Tensor, y: Tensor) -> GBuffer:
+    position = torch.stack([x, y, torch.zeros_like(x)])
+    normal = torch.zeros_like(position)
+    normal[2] = 1
+    return GBuffer(position, normal, torch.full_like(x, 0.2), torch.zeros_like(x, dtype=torch.int32))
+
+
+def lit_road(lamp: Headlight, u: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    surface = lit_surface(road(x, y), lamp, T_LEFT)
+    light = torch.zeros(x.numel())
+    light[surface.index] = illuminance(surface, lamp.light_texture(u))
+    return light.view(x.shape)
+
+
+def test_the_road_gets_the_illuminance_that_was_asked_for() -> None:
+    lamp = idealised(60, 40)
+    x, y = torch.meshgrid(torch.linspace(15, 19, 81), torch.linspace(-1, 1, 21), indexing="ij")
+    primitive = road_symbol(torch.tensor(TARGET), 0.0, 4.0, 8.0, torch.ones(1, 1), 1.5, "E_v")
+    u = Ssc.prepare(lamp).utilisation(primitive, T_LEFT).u
+    assert u.max() < 1
+    light = lit_road(lamp, u, x, y)
+    # A pixel spans half a metre of road, over which the light needed for a constant illuminance changes by 3 x / 17 m, 10 %.
+    torch.testing.assert_close(light, torch.full_like(light, 1.5), rtol=0.06, atol=0)
+    assert light.mean().item() == pytest.approx(1.5, rel=0.005)
+
+
+def test_light_lies_on_the_symbol_and_not_beside_it() -> None:
+    lamp = idealised(60, 120)
+    x, y = torch.meshgrid(torch.linspace(13, 24, 111), torch.linspace(-2, 2, 81), indexing="ij")
+    primitive = road_symbol(torch.tensor(TARGET), 0.0, 2.0, 4.0, torch.ones(1, 1), 1.0, "u_abs")
+    u = Ssc.prepare(lamp).utilisation(primitive, T_LEFT).u
+    on = lit_road(lamp, u, x, y) > 0.5 * lit_road(lamp, torch.ones_like(u), x, y)
+    symbol = ((x - 17).abs() < 2) & (y.abs() < 1)
+    # A pixel is 0.6 m long and 5 cm wide there, the symbol 4 m x 2 m: a third of a pixel along each short edge is 10 % of the area.
+    assert (on ^ symbol).sum() < 0.1 * symbol.sum()
+    assert x[on].mean().item() == pytest.approx(17, abs=0.1)
+    assert y[on].mean().item() == pytest.approx(0, abs=0.02)
 
 
 @pytest.mark.parametrize("batch", [(), (2,)])

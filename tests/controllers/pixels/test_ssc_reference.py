@@ -169,6 +169,16 @@ def test_float32_on_every_device(asks: bool, a_x: float, bounds: dict[str, float
     assert off <= 4
 
 
+def test_a_list_in_any_order_gives_the_same_light() -> None:
+    """No two lie in one plane here, where the order would decide."""
+    light, _, scene, default = random_case(7)
+    ssc = Ssc.prepare(light, MrpcParams(), default)
+    flags = [torch.arange(len(scene)) == p for p in reversed(range(len(scene)))]
+    backwards = concatenate(*(scene.select(flag) for flag in flags))
+    assert len(scene) > 1
+    torch.testing.assert_close(ssc.utilisation(scene, T).u, ssc.utilisation(backwards, T).u, rtol=0, atol=1e-12)
+
+
 def test_gradients_in_many_primitives_are_those_of_differences() -> None:
     generator = np.random.default_rng(5)
     light, _ = random_lamp(generator)
