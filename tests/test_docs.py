@@ -7,7 +7,7 @@ import shlex
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import is_dataclass
 from importlib import import_module
 from pathlib import Path
@@ -123,7 +123,7 @@ def run_slowly(language: str, fast: Collection[str] = FULLY_RUN) -> list[Any]:
 
 
 @pytest.mark.parametrize("page", run_slowly("sh"))
-def test_commands_run_in_the_order_in_which_they_are_read(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_run_in_the_order_in_which_they_are_read(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for command in commands(page):
         if not re.search(MEASURED, command):
@@ -131,7 +131,7 @@ def test_commands_run_in_the_order_in_which_they_are_read(page: Path, tmp_path: 
 
 
 @pytest.mark.parametrize("page", [each for each in with_blocks("sh") if each.id not in FULLY_RUN])
-def test_commands_are_understood(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_are_understood(page, tmp_path, monkeypatch):
     """What the slow test above runs is read at least, with its scenarios; what is quick, or needed by a later command, is run."""
     monkeypatch.chdir(tmp_path)
     todo = [command for command in commands(page) if not re.search(MEASURED, command)]
@@ -144,7 +144,7 @@ def test_commands_are_understood(page: Path, tmp_path: Path, monkeypatch: pytest
 
 
 @pytest.mark.parametrize("page", [each for each in with_blocks("sh") if any(re.search(MEASURED, c) for c in commands(each.values[0]))])
-def test_commands_on_measured_roads_run(page: Path, data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_on_measured_roads_run(page, data_dir, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("LUXLOOP_DATA", str(data_dir))
     for command in commands(page):
@@ -153,7 +153,7 @@ def test_commands_on_measured_roads_run(page: Path, data_dir: Path, tmp_path: Pa
 
 
 @pytest.mark.parametrize("page", run_slowly("python", ("README", "light", "python")))
-def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     code = "\n".join(blocks(page, "python"))
     for slow, cheap in CHEAP_PYTHON.items():
@@ -173,7 +173,7 @@ OWN_PARTS = [pytest.param(*found, id=found[1]) for page in PAGES for found in OW
 
 
 @pytest.mark.parametrize(("code", "module", "tables"), OWN_PARTS)
-def test_parts_of_ones_own_run(code: str, module: str, tables: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parts_of_ones_own_run(code, module, tables, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", [*sys.path])
     (tmp_path / f"{module}.py").write_text(code)
     (keys := tmp_path / "keys.toml").write_text(tables)
@@ -205,13 +205,13 @@ HELD = {"symbol": {"kind": "symbol", "image": "snowflake", "controller": "thesis
         ("toml", lambda table, page: validate({"name": "snippet", "functions": HELD, **table}, page)),
     ],
 )
-def test_snippets_are_valid(language: str, check: Callable[[dict[str, Any], str], object]) -> None:
+def test_snippets_are_valid(language, check):
     for page in PAGES:
         for block in blocks(page, language):
             check(tomllib.loads(block), str(page))
 
 
-def test_links_lead_somewhere() -> None:
+def test_links_lead_somewhere():
     for page in PAGES:
         for target, anchor in re.findall(r"\]\((?!https?:)([^)#\s]*)#?([^)\s]*)\)", page.read_text("utf-8")):
             file = (page.parent / target).resolve() if target else page
@@ -220,7 +220,7 @@ def test_links_lead_somewhere() -> None:
                 assert anchor in headings(file), f"{page.name}: {target}#{anchor} does not exist"
 
 
-def test_the_index_leads_to_every_page_and_the_site_shows_it() -> None:
+def test_the_index_leads_to_every_page_and_the_site_shows_it():
     pages = {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
     assert {*re.findall(r"\]\(([a-z_/]+\.md)", (ROOT / "docs" / "index.md").read_text("utf-8")), "index.md"} == pages
     assert {*re.findall(r'"([\w/]+\.md)"', (ROOT / "zensical.toml").read_text("utf-8"))} >= pages
@@ -231,26 +231,26 @@ def headings(page: Path) -> list[str]:
     return [re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles]
 
 
-def test_constants_have_the_values_that_are_written() -> None:
+def test_constants_have_the_values_that_are_written():
     for page in PAGES:
         for module, name, value in re.findall(r"`([a-z_.]+)\.([A-Z_]+) = ([^`]+)`", page.read_text("utf-8")):
             assert repr(getattr(import_module(module), name)) == value, f"{page.name}: {module}.{name}"
 
 
-def test_pictures_are_small() -> None:
+def test_pictures_are_small():
     for picture in (ROOT / "docs").rglob("images/*"):
         assert picture.stat().st_size < 400_000, picture.name
 
 
 @pytest.mark.parametrize("page", reference.FILES)
-def test_every_key_of_a_file_is_documented(page: str) -> None:
+def test_every_key_of_a_file_is_documented(page):
     text = (ROOT / "docs" / page).read_text("utf-8")
     described = [name for kind, name in reference.MARKED.findall(text) if kind == "keys of"]
     assert sorted(described) == sorted(name for root in reference.FILES[page] for name in reference.models(root))
     assert len(re.findall(r"^\| `", reference.with_tables(text), re.M)) >= len(described)
 
 
-def test_messages_of_the_studio_are_documented() -> None:
+def test_messages_of_the_studio_are_documented():
     text = reference.with_tables((ROOT / "docs" / "programs.md").read_text("utf-8"))
     assert re.search(r"^\| `hello` \| `token`: text", text, re.M)
 
@@ -259,7 +259,7 @@ FIELDS = [name for page in PAGES for kind, name in reference.MARKED.findall(page
 
 
 @pytest.mark.parametrize("path", FIELDS)
-def test_every_field_is_described(path: str) -> None:
+def test_every_field_is_described(path):
     assert is_dataclass(reference.named(path))
     meanings = reference.described(path)
     for each, field in reference.annotated(path).items():
@@ -267,7 +267,7 @@ def test_every_field_is_described(path: str) -> None:
         assert "None" not in ast.unparse(field.annotation) or "None" in meanings[each], f"say when {each} of {path} is None"
 
 
-def test_every_required_key_has_an_example_for_messages() -> None:
+def test_every_required_key_has_an_example_for_messages():
     every = [each for root in (Scenario, LampDescription, CampaignParams) for each in reference.models(root).items()]
     required = [(name, key, model["properties"][key]) for name, model in every for key in model.get("required", ())]
     assert [f"{name}.{key}" for name, key, field in required if key not in TAGS and not field.get("examples")] == []

@@ -18,17 +18,17 @@ def numbered(counts: str) -> set[str]:
     return {f"{above}.{k}" for above, count in pairs for k in range(1, int(count) + 1)}
 
 
-def test_every_citation_names_what_the_thesis_has() -> None:
+def test_every_citation_names_what_the_thesis_has():
     sections = numbered(SECTIONS) | {*map(str, range(1, 11)), "A", "B"}
     wrong = [each for each in citations() if each.number not in {"": sections, "eq": numbered(EQUATIONS)}.get(each.kind, {each.number})]
     assert not wrong, "a section is cited as T 7.3.3, an equation as T eq. 7.4.1"
 
 
-def test_the_tables_of_the_site_list_equations_and_sections() -> None:
+def test_the_tables_of_the_site_list_equations_and_sections():
     assert "| 7.3.2 |" in cited_table("equations") and "| 9.4.2 |" in cited_table("sections")
 
 
-def test_every_equation_is_implemented_or_said_not_to_be() -> None:
+def test_every_equation_is_implemented_or_said_not_to_be():
     implemented = {each.number for each in citations() if each.kind == "eq"}
     rest = PAGE.partition("## Equations without code")[2].partition("\n## ")[0]
     without = {number for row in re.findall(r"^\| ([AB\d][^|]*) \|", rest, re.M) for number in numbers(row)}
@@ -36,7 +36,7 @@ def test_every_equation_is_implemented_or_said_not_to_be() -> None:
     assert implemented | without == numbered(EQUATIONS)
 
 
-def test_the_coverage_of_the_thesis_has_every_section() -> None:
+def test_the_coverage_of_the_thesis_has_every_section():
     """With a file and a test, which tests/test_docs.py looks for, or what is open."""
     rows = re.findall(r"^\| ([AB\d][^|]*) \| ([^|]*) \|(.*?)\|(.*?)\|(.*?)\|$", PAGE.partition("# Coverage")[2], re.M)
     listed = {number for row in rows for number in numbers(row[0])}

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 PIP = [sys.executable, "-m", "pip", "install", "--quiet"]
 
 
-def test_the_lowest_versions_that_the_project_allows_run_the_main_job(tmp_path: Path) -> None:
+def test_the_lowest_versions_that_the_project_allows_run_the_main_job(tmp_path):
     """With the torch of the constraints, since older ones are gigabytes that PyPI has with CUDA alone."""
     subprocess.run([*PIP, "--target", tmp_path / "uv", "uv"], check=True)
     (tmp_path / "override.txt").write_text(f"torch=={metadata.version('torch').partition('+')[0]}\n")

@@ -35,7 +35,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built
 
 
-def test_wheel_holds_every_file_of_the_packages(wheel: Path) -> None:
+def test_wheel_holds_every_file_of_the_packages(wheel):
     shipped = set(zipfile.ZipFile(wheel).namelist())
     ours = {
         ("" if package == "luxloop" else "luxloop/") + path.relative_to(ROOT).as_posix()
@@ -63,13 +63,13 @@ def luxloop(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[.
     return run
 
 
-def test_main_job_runs_from_the_wheel(luxloop: Callable[..., Path]) -> None:
+def test_main_job_runs_from_the_wheel(luxloop):
     folder = luxloop("run", "snowflake", "--steps", "2", "--no-video", "--out", "out")
     assert (folder / "out" / "summary.json").is_file()
 
 
 @pytest.mark.parametrize(("like", "file"), [("gfhb", "gfhb.toml"), ("lamp.toml", "lamp.toml"), ("tune_gains.py", "tune_gains.py")])
-def test_what_the_documentation_names_is_copied_from_the_wheel(luxloop: Callable[..., Path], like: str, file: str) -> None:
+def test_what_the_documentation_names_is_copied_from_the_wheel(luxloop, like, file):
     assert (luxloop("new", "--like", like) / file).stat().st_size > 100
 
 
@@ -84,7 +84,7 @@ def needed(name: str) -> frozenset[str]:
     return frozenset(names.union(*(needed(each) for each in names))) - {"setuptools"}
 
 
-def test_constraints_meet_what_the_project_asks_for() -> None:
+def test_constraints_meet_what_the_project_asks_for():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     asked = {
         canonicalize_name(r.name): r for r in map(Requirement, sum(project["optional-dependencies"].values(), project["dependencies"]))
@@ -107,7 +107,7 @@ optimiser.step()
 """
 
 
-def test_an_optimiser_follows_rendering_beside_triton(tmp_path: Path) -> None:
+def test_an_optimiser_follows_rendering_beside_triton(tmp_path):
     """As it comes with the CUDA build of torch: its LLVM and that of Mesa crashed in one process."""
     subprocess.run([*PIP, "--no-deps", "--target", tmp_path, "triton"], check=True)
     environment = {**os.environ, "PYTHONPATH": f"{tmp_path}:{ROOT}"}

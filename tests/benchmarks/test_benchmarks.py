@@ -90,7 +90,7 @@ FAST = ("spmv", "ssc")
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in PROMISES])
-def test_each_runs_in_its_smallest_form(name: str, request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_runs_in_its_smallest_form(name, request, tmp_path, monkeypatch):
     if name == "studio" and not (PAGE / "index.html").is_file():
         pytest.skip("the page is not built: make studio")
     if name == "shadows":
@@ -100,7 +100,7 @@ def test_each_runs_in_its_smallest_form(name: str, request: pytest.FixtureReques
     assert json.dumps(found) and PROMISES[name](found)
 
 
-def test_a_program_writes_its_results(tmp_path: Path) -> None:
+def test_a_program_writes_its_results(tmp_path):
     command = [sys.executable, "benchmarks/ground.py", "--quick", "--json", str(tmp_path / "ground.json")]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), **dict.fromkeys(bench.THREADS, "1")}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
@@ -111,14 +111,14 @@ def test_a_program_writes_its_results(tmp_path: Path) -> None:
     assert rms["class D"] / rms["class B"] == pytest.approx(4.0)  # the same surface, whose heights go with the roots of the densities
 
 
-def test_goals_are_reached_missed_or_not_measured() -> None:
+def test_goals_are_reached_missed_or_not_measured():
     goals = bench.Goal("a", 1.0, 2.0), bench.Goal("b", 1.0, 2.0, True, "here"), bench.Goal("c", None, 2.0)
     assert [each.passed for each in goals] == [True, False, None]
     assert [each.row["measured"] for each in goals] == ["1", "1 (here)", "not measured"]
 
 
 @pytest.mark.parametrize("module", [spmv, pytest.param(step, marks=pytest.mark.slow)])
-def test_what_does_other_work_is_refused(module: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_does_other_work_is_refused(module, monkeypatch):
     monkeypatch.setattr(module, "FLOAT_TOLERANCE" if module is spmv else "TOLERANCE_PX", -1.0)
     with pytest.raises(SystemExit, match="not the same work"):
         module.measure(bench.cases(module.measure, quick=True))
@@ -129,21 +129,21 @@ def test_what_does_other_work_is_refused(module: Any, monkeypatch: pytest.Monkey
     ("name", "every", "published", "tolerance"),
     [("hd84", 67, 0.81, 0.06), pytest.param("ssl-hd-lores", 29, 0.19, 0.02, marks=pytest.mark.slow)],
 )
-def test_rectangles_come_out_as_badly_as_published(name: str, every: int, published: float, tolerance: float) -> None:
+def test_rectangles_come_out_as_badly_as_published(name, every, published, tolerance):
     light = lamp(name).modules[0].headlight
     textures = [rectangle.texture(light) for rectangle in RECTANGLES[every // 2 :: every]]
     errors = [float(least_error(light.matrix, pixel_goal(light, each)).error / each.sum()) for each in textures]
     assert np.mean(errors) == pytest.approx(published, abs=tolerance)
 
 
-def test_a_grade_without_end_lies_on_the_plane() -> None:
+def test_a_grade_without_end_lies_on_the_plane():
     grade = Profile(grades=(GradeParams(x_m=0.0, percent=5.0, curve_m=1.0),))
     assert squares_mm2(grade, 300.0) == pytest.approx(0.0, abs=1e-6)  # rounding of heights of 15 m
     ends = Profile(grades=(GradeParams(x_m=0.0, percent=5.0, curve_m=1.0), GradeParams(x_m=200.0 + AHEAD_M - 1, percent=-5.0, curve_m=1.0)))
     assert squares_mm2(ends, 200.0).max() > 1.0  # which the low-pass of the slope has not met yet
 
 
-def test_hills_have_curves_of_their_radius() -> None:
+def test_hills_have_curves_of_their_radius():
     x = np.arange(300.0, 1000.0, 0.5)
     bend = np.gradient(np.gradient(hills(1000.0, 1000.0).z(x, 0 * x), x), x)
     assert abs(bend).max() == pytest.approx(1e-3, rel=1e-6)
@@ -151,7 +151,7 @@ def test_hills_have_curves_of_their_radius() -> None:
     assert straight == pytest.approx(STRAIGHT_M / (STRAIGHT_M + 100.0), abs=0.06)  # 4.2 periods of 165 m, whose ends count
 
 
-def test_lamps_are_those_of_the_tables() -> None:
+def test_lamps_are_those_of_the_tables():
     assert [lamps.adaptive_side(cols) for _, cols in bench.cases(spmv.measure).sizes] == [256, 576, 1728, 3008, 3840]
     lengths = lamps.thesis_lamp(45, 90, 512).matrix.indptr.diff().double()
     # A pixel of pitch p overlaps a quarter into its neighbours, so that it lights (1.25 p)^2.

@@ -41,15 +41,13 @@ def found(small: dict[str, Rig], folder: Path) -> dict[str, ModuleMeasurement]:
 
 
 @pytest.mark.parametrize(("case", "stuck"), [("nothing", [STUCK]), ("all four", [])])
-def test_a_small_lamp_with_dead_and_stuck_pixels(
-    small: dict[str, Rig], found: dict[str, ModuleMeasurement], case: str, stuck: list[int]
-) -> None:
+def test_a_small_lamp_with_dead_and_stuck_pixels(small, found, case, stuck):
     px, one, _, turned, *_ = figures(small[case], found[case]).values()
     assert px < 0.1 and one < 2.0 and turned < 0.05
     assert np.flatnonzero(found[case].dead).tolist() == [266, 405] and np.flatnonzero(found[case].stuck).tolist() == stuck
 
 
-def test_measurement_goes_on_where_it_stopped(small: dict[str, Rig], found: dict[str, ModuleMeasurement], folder: Path) -> None:
+def test_measurement_goes_on_where_it_stopped(small, found, folder):
     of, kept = small["nothing"], sorted(folder.glob("*.png"))
     dark = replace(of.bench, transports=tuple(0 * each for each in of.bench.transports))
     from_folder = digitise(replace(of, bench=dark), folder)  # this lamp gives no light: every frame is from the folder
@@ -62,14 +60,14 @@ def test_measurement_goes_on_where_it_stopped(small: dict[str, Rig], found: dict
 
 
 @pytest.mark.parametrize(("gain", "message"), [(0, "sees none of its pixels"), (100, "saturated at its shortest exposure")])
-def test_a_dark_lamp_and_a_saturated_camera_are_told(small: dict[str, Rig], gain: float, message: str) -> None:
+def test_a_dark_lamp_and_a_saturated_camera_are_told(small, gain, message):
     of = small["all four"]
     with refusal(message):
         digitise(replace(of, bench=replace(of.bench, transports=tuple(gain * each for each in of.bench.transports))))
 
 
 @pytest.mark.slow
-def test_hd_lamp(tmp_path: Path) -> None:
+def test_hd_lamp(tmp_path):
     """The goals: places within 0.1 px, intensities within 2 % rms."""
     of = rig(uneven_wall(GIVEN, "hd", tmp_path))
     px, one, *_ = figures(of, digitise(of)).values()

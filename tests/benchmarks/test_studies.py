@@ -2,7 +2,6 @@
 
 import json
 import sys
-from pathlib import Path
 from typing import Any
 
 import bench
@@ -53,18 +52,18 @@ STEPS_OF = [0.1] * 11 + [0.4] * 5 + [0.8] * 5
         ("standing", metrics([0.0] * 20, None, None), {"settle": 20, "centroid": 100.0, "iou": 0.0}),
     ],
 )
-def test_measures_of_symbols_are_of_the_end(part: str, own: dict[str, Any], expected: dict[str, float]) -> None:
+def test_measures_of_symbols_are_of_the_end(part, own, expected):
     found = of_symbol(part, own)
     assert {name: found[name] for name in expected} == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(("worse", "steps"), [([], 0), ([31], 2), ([25, 33], 4), ([49], 20)])
-def test_recovered_is_when_the_undisturbed_run_is_reached_for_good(worse: list[int], steps: int) -> None:
+def test_recovered_is_when_the_undisturbed_run_is_reached_for_good(worse, steps):
     own = [0.7 if step in worse else 0.9 for step in range(50)]
     assert of_symbol("disturbed", metrics(own), metrics([0.9] * 50))["recovery"] == steps
 
 
-def test_goals_take_the_worst_mean_over_seeds_and_of_luxloop_alone() -> None:
+def test_goals_take_the_worst_mean_over_seeds_and_of_luxloop_alone():
     runs = pd.DataFrame(
         [("grade", 0.6, "luxloop"), ("mixed", 1.0, "luxloop"), ("mixed", 0.8, "luxloop"), ("mixed", 0.0, "open")],
         columns=["kind", "iou", "controller"],
@@ -79,7 +78,7 @@ def place(road: str = "flat", *changes: str, steps: int = 40) -> side_by_side.Wo
     return places.world(PLACES, "grade", "here", load("flat", (*TINY, f"road={{kind='{road}'}}", *changes), steps=steps))
 
 
-def test_worlds_are_drawn_once_and_for_all() -> None:
+def test_worlds_are_drawn_once_and_for_all():
     worlds, few = (list(places.places(bench.cases(places.measure, quick=quick))) for quick in (False, True))
     kinds = {each.facts["kind"] for each in worlds}
     assert len(worlds) >= 200 - PLACES.places * len(PLACES.scans) and kinds >= {"grade", "step", "roughness", "place", *PLACES.from_3_m}
@@ -91,14 +90,14 @@ def test_worlds_are_drawn_once_and_for_all() -> None:
 @pytest.mark.parametrize(
     ("percent", "iou"), [(-2, 0.72), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((2, 0.90), (4, 0.85)))]
 )
-def test_the_bound_is_that_of_a_prototype_by_other_means(percent: float, iou: float) -> None:
+def test_the_bound_is_that_of_a_prototype_by_other_means(percent, iou):
     road = f"road={{kind='grade', grade_percent={percent}, crossfall_percent=0, start_x_m=3}}"
     _, found = side_by_side.bound(prepare(load("snowflake", (side_by_side.SMALL, road)), "cpu"))
     assert found["iou_bound"] == pytest.approx(iou, abs=0.006)  # printed to two digits
     assert found["visible"] == pytest.approx(iou if percent < 0 else 1.0, abs=0.006)
 
 
-def test_the_bound_of_a_flat_road_is_the_open_loop() -> None:
+def test_the_bound_of_a_flat_road_is_the_open_loop():
     simulation = prepare(place().scenario, "cpu")
     lights, found = side_by_side.bound(simulation)
     open_loop = simulation.symbol.projector.light(simulation.symbol.projector.target)
@@ -107,7 +106,7 @@ def test_the_bound_of_a_flat_road_is_the_open_loop() -> None:
     assert found["iou_bound"] > 0.97 and found["visible"] > 0.98
 
 
-def test_measures_of_places_compare_with_the_same_world() -> None:
+def test_measures_of_places_compare_with_the_same_world():
     open_loop, own = metrics([0.5] * 20), metrics([None] * 15 + [0.8] * 5, centroid=None, lost=7)
     found = {"open": open_loop, "thesis_pid": metrics([0.9] * 20), places.FEEDFORWARD: open_loop, "luxloop": own}
     *_, last = places.measures(place(), {"metrics": found, "iou_bound": 0.95, "visible": 0.9})
@@ -136,7 +135,7 @@ FROM_3_M, ON_ROAD = {"kind": "grade from 3 m", "visible": 0.3}, {"kind": "place,
         (10, ON_ROAD | {"iou": 0.4, "iou_bound": 0.42}, {"iou": 0.39}),
     ],
 )
-def test_goals_of_places_hold_where_enough_can_be_seen(goal: int, kept: dict[str, Any], missed: dict[str, Any]) -> None:
+def test_goals_of_places_hold_where_enough_can_be_seen(goal, kept, missed):
     rows = pd.DataFrame([GOOD | kept, GOOD | kept | missed])
     assert places.goals(PLACES, rows)[goal].where == "1 of 2"
     if goal < 7:
@@ -145,7 +144,7 @@ def test_goals_of_places_hold_where_enough_can_be_seen(goal: int, kept: dict[str
 
 @pytest.mark.slow
 @pytest.mark.parametrize("study", [symbol_control, places])
-def test_a_second_run_does_nothing_again(study: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_run_does_nothing_again(study, tmp_path, monkeypatch):
     standing = symbol_control.world(SYMBOLS, "standing", "curb", load("curb", TINY, steps=13))
     monkeypatch.setattr(symbol_control, "worlds", lambda given: iter([standing]))
     monkeypatch.setattr(places, "places", lambda given: iter([place("step", "functions.symbol.x_m=13", steps=7)]))
@@ -166,7 +165,7 @@ def test_a_second_run_does_nothing_again(study: Any, tmp_path: Path, monkeypatch
 
 
 @pytest.mark.slow
-def test_controllers_side_by_side_run_as_each_does_alone() -> None:
+def test_controllers_side_by_side_run_as_each_does_alone():
     """Rendered views are shared, noise and states are not."""
     tables = {name: {"name": name} for name in ("thesis_pid", "luxloop")}
     parameters = side_by_side.World("here", {}, load("snowflake", (*TINY, "camera.latency_steps=1"), steps=5), tables).parameters
@@ -200,7 +199,7 @@ LATE_DAZZLE = [(5, True), (40, True), (40, False), (41, False)]
         ({"tracked": {"a": 0.4, "b": 0.0}, "found": {"a": 5, "b": None}}, {"a": 0.6, "b": 0.55}, {"lost": 1}),  # what had been found
     ],
 )
-def test_measures_of_light(own: dict[str, Any], full: dict[str, float], expected: dict[str, Any]) -> None:
+def test_measures_of_light(own, full, expected):
     found = of_light(own, full)
     assert {name: found[name] for name in expected} == pytest.approx(expected)
 
@@ -210,13 +209,13 @@ NEVER = float("inf")
 
 
 @pytest.mark.parametrize(("found", "lx", "expected"), [(2, LX, 4 / 30), (6, LX, 7 / 30), (None, LX, NEVER), (2, [0.0] * 30, NEVER)])
-def test_a_newcomer_is_lit_once_it_is_known_and_gets_half_of_its_light(found: int | None, lx: list[float], expected: float) -> None:
+def test_a_newcomer_is_lit_once_it_is_known_and_gets_half_of_its_light(found, lx, expected):
     """Light that is there by chance is none, nor is half of none."""
     run = {"found": {"newcomer": found and object_based.COMES + found}, "newcomer_lx": lx}
     assert object_based.newcomer_s(run) == pytest.approx(expected)
 
 
-def test_flux_searches_and_zones_count_until_they_stay() -> None:
+def test_flux_searches_and_zones_count_until_they_stay():
     flux = np.array([100.0] * 20 + [1.0] * 10 + [30.0] + [2.0] * 44)
     assert [object_based.settle_step(flux, within) for within in (5.0, 50.0)] == [31, 20]
     assert object_based.searches_s({"searches": [[2, 32], [3, None], [40, 50]]}) == [1.0, float("inf")]
@@ -224,7 +223,7 @@ def test_flux_searches_and_zones_count_until_they_stay() -> None:
     assert row["steps"] == [3] and row["error"] == pytest.approx(0.01 / 0.9)
 
 
-def test_switches_misses_and_ghosts_are_counted() -> None:
+def test_switches_misses_and_ghosts_are_counted():
     one, other = torch.tensor([[0.0, 0, 10, 20]]), torch.tensor([[50.0, 0, 60, 20]])
     found = Identities()
     for boxes, numbers in ((one, [1]), (other, [1]), (one, [2]), (torch.cat([one, other]), [2, 3])):
@@ -234,14 +233,14 @@ def test_switches_misses_and_ghosts_are_counted() -> None:
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", CROSSINGS)
-def test_nobody_changes_identity(name: str, seed: int) -> None:
+def test_nobody_changes_identity(name, seed):
     counts = follow(CROSSINGS[name], 80, seed).counts()
     assert counts["switches"] == counts["several"] == 0 < counts["seen"]
     hidden = sum(seen([road(k / RATE_HZ) for road in CROSSINGS["ten frames behind a car"]])[1][1] for k in range(55))
     assert hidden >= 10
 
 
-def test_scenes_are_others_than_those_of_training_and_newcomers_have_room() -> None:
+def test_scenes_are_others_than_those_of_training_and_newcomers_have_room():
     assert jobs.FIRST > scenes.HELD_OUT + 100_000 > scenes.TRAINING
     given = jobs.lit(jobs.scene(jobs.FIRST + 1, True))
     newcomer, *others = (each.pose_track().pose_at(2.5)[:2, 3] for each in given.all_objects)
@@ -249,7 +248,7 @@ def test_scenes_are_others_than_those_of_training_and_newcomers_have_room() -> N
 
 
 @pytest.mark.slow
-def test_the_jobs_run_through_the_whole_chain(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_jobs_run_through_the_whole_chain(monkeypatch):
     """On a few steps each, which decide nothing, over both base beams."""
     for name, value in {"STEPS": 4, "COMES": 2, "END": range(1, 2), "LATE": range(3, 4)}.items():
         monkeypatch.setattr(jobs, name, value)

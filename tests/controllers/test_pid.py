@@ -48,7 +48,7 @@ def transfer_function(kp: float, ki: float, kd: float, T: float, dt: float, form
 
 @settings(max_examples=15)
 @given(gain, gain, gain, filter_time, time_step, st.sampled_from(["position", "incremental"]))
-def test_agrees_with_python_control(kp: float, ki: float, kd: float, T: float, dt: float, form: str) -> None:
+def test_agrees_with_python_control(kp, ki, kd, T, dt, form):
     errors = np.random.default_rng(0).normal(size=40)
     gains = bank(kp=kp, ki=ki, kd=kd, derivative_time=T, form=form)
     ours = run(gains, torch.tensor(errors)[:, None], dt)[:, 0]
@@ -58,7 +58,7 @@ def test_agrees_with_python_control(kp: float, ki: float, kd: float, T: float, d
 
 
 @pytest.mark.parametrize(("gains", "radius"), [((0.75, 0.5, 0.26), 0.65), ((0.5, 0.1, 0.1), 0.75)])
-def test_thesis_gains_are_stable_in_incremental_form_at_unit_step(gains: tuple[float, float, float], radius: float) -> None:
+def test_thesis_gains_are_stable_in_incremental_form_at_unit_step(gains, radius):
     kp, ki, kd = gains
     loop = bank(kp=kp, ki=ki, kd=kd, form="incremental")
 
@@ -74,7 +74,7 @@ def test_thesis_gains_are_stable_in_incremental_form_at_unit_step(gains: tuple[f
 
 @pytest.mark.parametrize("form", ["position", "incremental"])
 @pytest.mark.parametrize(("tracking_time", "share"), [(0.4, 0.25), (1e-3, 1.0)], ids=["slow", "faster than a step"])
-def test_each_step_takes_its_share_of_the_pid_sum_beyond_a_limit(form: str, tracking_time: float, share: float) -> None:
+def test_each_step_takes_its_share_of_the_pid_sum_beyond_a_limit(form, tracking_time, share):
     gains = bank(kp=1.0, upper=0.0, tracking_time=tracking_time, form=form)
     state = at_rest(gains)
     for step in range(1, 6):
@@ -90,7 +90,7 @@ def test_each_step_takes_its_share_of_the_pid_sum_beyond_a_limit(form: str, trac
     st.floats(0.1, 3),
     st.floats(0.1, 5),
 )
-def test_limits_hold_for_any_error(form: str, errors: list[float], lower: float, upper: float, rate: float) -> None:
+def test_limits_hold_for_any_error(form, errors, lower, upper, rate):
     gains = bank(kp=2.0, ki=1.0, kd=0.5, lower=lower, upper=upper, rate_limit=rate, tracking_time=0.5, form=form)
     outputs = run(gains, torch.tensor(errors, dtype=torch.float64)[:, None], 0.1)[:, 0]
     assert outputs.min() >= lower
@@ -99,7 +99,7 @@ def test_limits_hold_for_any_error(form: str, errors: list[float], lower: float,
     assert steps.max() <= 0.1 * rate + 1e-12  # rounding of the difference
 
 
-def test_reset_is_bumpless(device: torch.device) -> None:
+def test_reset_is_bumpless(device):
     start = torch.tensor([0.7], dtype=torch.float64, device=device)
     error = torch.tensor([5.0], dtype=torch.float64, device=device)
     loop = {"kp": 0.4, "ki": 0.2, "kd": 9.0}
@@ -118,7 +118,7 @@ def test_reset_is_bumpless(device: torch.device) -> None:
 
 
 @pytest.mark.parametrize("form", ["position", "incremental"])
-def test_batch_equals_singles(form: str, device: torch.device) -> None:
+def test_batch_equals_singles(form, device):
     loops = [
         PidParams(kp=1.0, ki=0.3, kd=0.2, form=form),
         PidParams(kp=0.5, ki=0.1, derivative_time=0.2, lower=-0.4, upper=0.9, tracking_time=1.0, form=form),
@@ -138,7 +138,7 @@ def test_batch_equals_singles(form: str, device: torch.device) -> None:
 
 @pytest.mark.parametrize("form", ["position", "incremental"])
 @pytest.mark.parametrize("limits", [{}, {"lower": -1.0, "upper": 1.0, "tracking_time": 0.5}], ids=["unlimited", "limited"])
-def test_gradients(form: str, limits: dict[str, float]) -> None:
+def test_gradients(form, limits):
     base = bank(**limits, form=form)
     errors = torch.tensor([0.3, -0.2, 1.5, 0.4], dtype=torch.float64)[:, None]
 
@@ -149,7 +149,7 @@ def test_gradients(form: str, limits: dict[str, float]) -> None:
     assert torch.autograd.gradcheck(outputs, [*values, errors.requires_grad_()])
 
 
-def test_bad_input() -> None:
+def test_bad_input():
     with refusal("one form"):
         pid_gains([PidParams(), PidParams(form="incremental")])
     with pytest.raises(ValidationError, match=r"upper: 1 is not above lower = 2"):

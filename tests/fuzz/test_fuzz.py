@@ -35,12 +35,12 @@ def tried(first: int, last: int, every: int) -> list[str]:
     return wrong
 
 
-def test_six_hundred_damaged_files() -> None:
+def test_six_hundred_damaged_files():
     wrong = tried(0, FEW, every=0)
     assert not wrong, "\n".join(wrong)
 
 
 @pytest.mark.slow
-def test_twenty_thousand_damaged_files_and_scenarios_that_are_built() -> None:
+def test_twenty_thousand_damaged_files_and_scenarios_that_are_built():
     wrong = tried(FEW, 20_000 + FEW, every=50)
     assert not wrong, "\n".join(wrong)

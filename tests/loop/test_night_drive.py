@@ -1,7 +1,5 @@
 """The drive that shows everything at once: it runs, and in full length its checks come out as its page says."""
 
-from pathlib import Path
-
 import pytest
 
 from luxloop import load, run
@@ -9,7 +7,7 @@ from luxloop.loop.recording.record import row
 from tests.loop.conftest import simulation_of
 
 
-def test_it_runs_with_all_that_it_shows() -> None:
+def test_it_runs_with_all_that_it_shows():
     scenario = load("night_drive", ["camera.width_px=160", "camera.height_px=90"], steps=2)
     assert scenario.steps / scenario.rate_hz < 1 <= load("night_drive").steps / load("night_drive").rate_hz / 12
     kinds = {function.kind for function in scenario.functions.values()}
@@ -19,6 +17,6 @@ def test_it_runs_with_all_that_it_shows() -> None:
 
 
 @pytest.mark.slow
-def test_its_checks_come_out_as_its_page_says(tmp_path: Path) -> None:
+def test_its_checks_come_out_as_its_page_says(tmp_path):
     checks = run("night_drive", tmp_path, device="cpu", video=False, report=False, checks=True).summary["checks"]
     assert len(checks) == 7 and all(each["passed"] for each in checks.values())

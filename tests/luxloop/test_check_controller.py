@@ -136,12 +136,12 @@ BROKEN = {
 
 
 @pytest.mark.parametrize(("kind", "broken"), BROKEN.items())
-def test_each_way_to_break_the_contract_is_told_in_a_sentence(kind: str, broken: type) -> None:
+def test_each_way_to_break_the_contract_is_told_in_a_sentence(kind, broken):
     assert_refused(check_controller, broken, "controller.name", kind)
 
 
 @pytest.mark.parametrize("name", ["thesis_pid", "gauss_newton"])
-def test_controllers_that_are_shipped_keep_the_contract(name: str) -> None:
+def test_controllers_that_are_shipped_keep_the_contract(name):
     params = luxloop.load("flat", [f"functions.symbol.controller.name={name}"]).symbol.controller
     assert params is not None
 
@@ -161,7 +161,7 @@ def test_controllers_that_are_shipped_keep_the_contract(name: str) -> None:
     check_controller(Shipped)
 
 
-def test_options_are_those_of_the_scenario(device: torch.device) -> None:
+def test_options_are_those_of_the_scenario(device):
     check_controller(Halfway, {"share": 0.3}, device.type)
     with refusal(r"controller\.options\.shore: .*did you mean 'share'\?"):
         check_controller(Halfway, {"shore": 0.3}, device.type)

@@ -89,11 +89,11 @@ BROKEN = {
 
 
 @pytest.mark.parametrize(("kind", "broken"), BROKEN.items())
-def test_each_way_to_break_the_contract_is_told_in_a_sentence(kind: str, broken: type, device: torch.device) -> None:
+def test_each_way_to_break_the_contract_is_told_in_a_sentence(kind, broken, device):
     assert_refused(lambda each: check_detector(each, device=device.type), broken, "detector.kind", kind)
 
 
-def test_what_keeps_the_contract_passes(device: torch.device) -> None:
+def test_what_keeps_the_contract_passes(device):
     for detector in (Nothing, Network):
         check_detector(detector, device=device.type)
     check_detector(Brightest, {"size_px": 30}, device.type)

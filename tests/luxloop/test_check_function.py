@@ -104,16 +104,16 @@ BROKEN = {
 
 
 @pytest.mark.parametrize(("kind", "broken"), BROKEN.items())
-def test_each_way_to_break_the_contract_is_told_in_a_sentence(kind: str, broken: type) -> None:
+def test_each_way_to_break_the_contract_is_told_in_a_sentence(kind, broken):
     assert_refused(check_function, broken, "kind", kind)
 
 
 @pytest.mark.parametrize("function", [variant(Line, primitives=lambda self, now: ()), Learning, Levels])
-def test_what_keeps_the_contract_passes(function: type) -> None:
+def test_what_keeps_the_contract_passes(function):
     check_function(function)
 
 
-def test_options_are_those_of_the_scenario(device: torch.device) -> None:
+def test_options_are_those_of_the_scenario(device):
     check_function(Line, {"far_m": 16.0}, device.type)
     with refusal(r"options\.far: .*did you mean 'far_m'\?"):
         check_function(Line, {"far": 16.0}, device.type)

@@ -80,7 +80,7 @@ class Sampling(Good):
 
 
 @pytest.mark.parametrize(("plant", "options"), [(Warming, {}), (Losing, {}), (Slow, {}), (Sampling, {}), (Good, {"late": 5})])
-def test_what_keeps_the_contract_passes(plant: Any, options: dict[str, int]) -> None:
+def test_what_keeps_the_contract_passes(plant, options):
     check_plant(plant, options)
 
 
@@ -199,7 +199,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize(("kind", "broken"), BROKEN.items())
-def test_each_way_to_break_the_contract_is_told_in_a_sentence(kind: str, broken: type) -> None:
+def test_each_way_to_break_the_contract_is_told_in_a_sentence(kind, broken):
     assert_refused(check_plant, broken, "plant.kind", kind)
 
 
@@ -218,7 +218,7 @@ class Dimmed:
         return self.inner.show(state, replace(exposure, lights=dimmed))
 
 
-def test_options_are_those_of_the_scenario(device: torch.device) -> None:
+def test_options_are_those_of_the_scenario(device):
     check_plant(Dimmed, {"share": 0.6}, device.type)
     with refusal(r"plant\.options\.shar: .*did you mean 'share'\?"):
         check_plant(Dimmed, {"shar": 0.6}, device.type)

@@ -2,7 +2,6 @@
 
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
@@ -84,11 +83,11 @@ BROKEN = {
 
 
 @pytest.mark.parametrize(("kind", "broken"), BROKEN.items())
-def test_each_way_to_break_the_contract_is_told_in_a_sentence(kind: str, broken: type, device: torch.device) -> None:
+def test_each_way_to_break_the_contract_is_told_in_a_sentence(kind, broken, device):
     assert_refused(lambda each: check_tracker(each, device=device.type), broken, "tracker.kind", kind)
 
 
-def test_what_keeps_the_contract_passes(device: torch.device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_keeps_the_contract_passes(device, tmp_path, monkeypatch):
     check_tracker(Good, {"confirm_frames": 2}, device.type)
     shutil.copy(examples()["alpha_beta.py"], tmp_path)
     monkeypatch.syspath_prepend(tmp_path)

@@ -19,12 +19,12 @@ SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=320", "camera.height_
 UNITS = r"_(m|deg|s|px|cd|percent)$"
 
 
-def test_import_takes_neither_torch_nor_numpy() -> None:
+def test_import_takes_neither_torch_nor_numpy():
     program = "import sys, luxloop; dir(luxloop); assert not {'torch', 'numpy', 'pydantic'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True)
 
 
-def test_a_folder_with_packages_of_the_same_names_changes_nothing(tmp_path: Path) -> None:
+def test_a_folder_with_packages_of_the_same_names_changes_nothing(tmp_path):
     for name in ("world", "perception", "controllers", "scenarios"):
         (tmp_path / f"{name}.py").write_text("raise RuntimeError('of the user')")
     (tmp_path / "loop").mkdir()
@@ -35,7 +35,7 @@ def test_a_folder_with_packages_of_the_same_names_changes_nothing(tmp_path: Path
     assert done.stdout == "snowflake luxloop.loop.simulation.simulation\n", done.stderr
 
 
-def test_names_are_documented() -> None:
+def test_names_are_documented():
     silent = []
     for name in luxloop.__all__:
         value = getattr(luxloop, name)
@@ -47,17 +47,17 @@ def test_names_are_documented() -> None:
     assert not silent, f"say what these are, their shapes and units: {silent}"
 
 
-def test_dir_is_the_door() -> None:
+def test_dir_is_the_door():
     assert dir(luxloop) == sorted(luxloop.__all__)
 
 
-def test_unknown_name_gives_the_nearest() -> None:
+def test_unknown_name_gives_the_nearest():
     with pytest.raises(AttributeError, match=r"no attribute 'simulation'; did you mean 'Simulation'\?"):
         _ = luxloop.simulation
     assert not hasattr(luxloop, "torch")
 
 
-def test_a_run_shows_its_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_shows_its_report(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = luxloop.run("snowflake", overrides=SMALL, steps=2, video=False)
     assert result.summary["steps"] == result.trajectory.num_rows == 2
@@ -70,25 +70,25 @@ def test_a_run_shows_its_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.slow
-def test_a_run_of_lighting_functions_goes_where_it_is_sent(tmp_path: Path) -> None:
+def test_a_run_of_lighting_functions_goes_where_it_is_sent(tmp_path):
     scenario = luxloop.load("path_projection", [*SMALL, "steps=1"])
     result = luxloop.run(scenario, tmp_path / "path", video=False, report=False)
     assert result.folder == tmp_path / "path" and result._repr_png_() is None
     assert result.trajectory["time_s"].to_pylist() == [0.0]
 
 
-def test_overrides_of_a_loaded_scenario_are_refused(tmp_path: Path) -> None:
+def test_overrides_of_a_loaded_scenario_are_refused(tmp_path):
     with refusal(r"give them to load\(\)"):
         luxloop.run(luxloop.load("snowflake"), tmp_path / "run", steps=2)
     assert not list(tmp_path.iterdir())
 
 
-def test_overrides_in_the_place_of_the_folder_are_named() -> None:
+def test_overrides_in_the_place_of_the_folder_are_named():
     with refusal(r"folder is a list, not a path; give other values of keys as overrides=\[\.\.\.\]"):
         luxloop.run("snowflake", ["road.kind=bumps"])  # type: ignore[arg-type]
 
 
-def test_pages_and_examples_import_from_the_door_or_say_that_they_do_not() -> None:
+def test_pages_and_examples_import_from_the_door_or_say_that_they_do_not():
     for page in PAGES:
         text = page.read_text("utf-8")
         inside = re.search(r"^(?:from|import) luxloop\.(?:world|perception|controllers|loop)\b", text, re.M)

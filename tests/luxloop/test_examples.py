@@ -29,23 +29,23 @@ def ious(scenario: str, controller: str, steps: int, *more: str) -> list[float]:
 
 
 @pytest.mark.parametrize("name", ["motion_compensation:MotionCompensation", "visual_servo:VisualServo"])
-def test_controllers_keep_the_contract(name: str) -> None:
+def test_controllers_keep_the_contract(name):
     module, _, controller = name.partition(":")
     check_controller(getattr(__import__(module), controller))
 
 
 @pytest.mark.slow
-def test_what_is_drawn_for_the_body_s_motion_lies_better_than_a_correction_of_the_past() -> None:
+def test_what_is_drawn_for_the_body_s_motion_lies_better_than_a_correction_of_the_past():
     moving, late = (ious("driving", each, 16) for each in ("motion_compensation:MotionCompensation", "model_reference"))
     assert sum(moving[SETTLED:]) > 2 * sum(late[SETTLED:]), "0.73 to 0.26 over the whole drive"
 
 
 @pytest.mark.slow
-def test_the_interaction_matrix_is_learnt_in_five_steps() -> None:
+def test_the_interaction_matrix_is_learnt_in_five_steps():
     assert min(ious("snowflake", "visual_servo:VisualServo", 9)[5:]) > 0.88, "0.91 over three seeds; a frame of noise costs 0.01"
 
 
-def test_what_the_body_s_motion_explains_of_a_pose_error_is_taken_out_as_interfaces_md_shows() -> None:
+def test_what_the_body_s_motion_explains_of_a_pose_error_is_taken_out_as_interfaces_md_shows():
     (code,) = re.findall(r"^```python\n(.*?)^```", (EXAMPLES.parents[1] / "docs" / "interfaces.md").read_text("utf-8"), re.M | re.S)
     shown: dict[str, Any] = {}
     exec(code, shown)
@@ -71,7 +71,7 @@ def test_what_the_body_s_motion_explains_of_a_pose_error_is_taken_out_as_interfa
 
 
 @pytest.mark.slow
-def test_the_tracker_keeps_whom_the_detector_finds() -> None:
+def test_the_tracker_keeps_whom_the_detector_finds():
     scenario = load("obl", ["steps=12", "tracker.kind=alpha_beta:AlphaBeta", "detector={kind='truth'}"])
     *_, last = prepare(scenario, "cpu").evaluations()
     followed = {name: each.track for name, each in last.detections.recognised.items()}

@@ -35,7 +35,7 @@ def sheared_ellipse(u: float, v: float, a: float, b: float, shear: float = 0.0, 
 
 
 @pytest.mark.parametrize(("u", "v"), [((10, 30), (20, 28)), ((10, 31), (20, 29)), ((3, 4), (50, 51))], ids=["even", "odd", "one pixel"])
-def test_a_rectangle_of_whole_pixels_is_exact(u: tuple[int, int], v: tuple[int, int]) -> None:
+def test_a_rectangle_of_whole_pixels_is_exact(u, v):
     seen = appearance(rectangle(u, v), AXES)
     width, height = u[1] - u[0], v[1] - v[0]
     centre_u, centre_v = sum(u) / 2, sum(v) / 2
@@ -49,7 +49,7 @@ def test_a_rectangle_of_whole_pixels_is_exact(u: tuple[int, int], v: tuple[int, 
 
 
 @pytest.mark.parametrize("shear", [-0.4, 0.0, 0.3])
-def test_a_sheared_ellipse(shear: float) -> None:
+def test_a_sheared_ellipse(shear):
     u, v, a, b = 40.3, 29.6, 25.0, 12.0
     seen = appearance(sheared_ellipse(u, v, a, b, shear), AXES)
     # 64 samples a pixel leave 1e-3 of a pixel along the outline.
@@ -72,7 +72,7 @@ def random_symbol() -> Tensor:
 
 
 @given(st.integers(-20, 20), st.integers(-25, 25))
-def test_whole_pixels_shift_everything_alike(rows: int, cols: int) -> None:
+def test_whole_pixels_shift_everything_alike(rows, cols):
     image = random_symbol()
     still, moved = appearance(image, AXES), appearance(image.roll((rows, cols), (0, 1)), AXES)
     shift = torch.tensor([cols, rows], dtype=torch.float64)
@@ -83,7 +83,7 @@ def test_whole_pixels_shift_everything_alike(rows: int, cols: int) -> None:
     assert_close(off, torch.tensor([cols, rows, 0.0, 0], dtype=torch.float64), rtol=0, atol=1e-10)
 
 
-def test_nothing_jumps_while_a_symbol_moves_by_fractions_of_a_pixel() -> None:
+def test_nothing_jumps_while_a_symbol_moves_by_fractions_of_a_pixel():
     steps = torch.linspace(0, 2, 81, dtype=torch.float64)
     seen = [features(appearance(sheared_ellipse(40 + s, 30 + s, 20, 9, 0.3), AXES), "quadrants") for s in steps.tolist()]
     change = torch.stack(seen).diff(dim=0)[:, 2:].abs()
@@ -92,7 +92,7 @@ def test_nothing_jumps_while_a_symbol_moves_by_fractions_of_a_pixel() -> None:
     assert (torch.stack(seen)[:, 2:].amax(0) - torch.stack(seen)[:, 2:].amin(0)).max() < 0.01
 
 
-def test_features_are_the_printed_sums() -> None:
+def test_features_are_the_printed_sums():
     seen = appearance(random_symbol(), AXES)
     _, tl, tr, bl, br = seen.centroids[:, 1].tolist()
     u, v, roll, pitch = features(seen, "quadrants").tolist()
@@ -102,7 +102,7 @@ def test_features_are_the_printed_sums() -> None:
     assert features(seen, "moments")[2:].tolist() == [seen.shear.item(), seen.length.item()]
 
 
-def test_batches_are_loops_of_singles_and_float32_is_good_to_a_thousandth_of_a_pixel(device: torch.device) -> None:
+def test_batches_are_loops_of_singles_and_float32_is_good_to_a_thousandth_of_a_pixel(device):
     images = torch.stack(
         [rectangle((10, 30.3), (20, 28)), sheared_ellipse(50, 20, 20, 9, 0.3), random_symbol(), rectangle((70, 75), (3, 9.5))]
     )
@@ -116,7 +116,7 @@ def test_batches_are_loops_of_singles_and_float32_is_good_to_a_thousandth_of_a_p
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(0, 0), (H, 0), (1, W), (H, 1)])
-def test_an_empty_image_and_a_crop_of_less_than_two_pixels_have_no_centre(rows: int, cols: int) -> None:
+def test_an_empty_image_and_a_crop_of_less_than_two_pixels_have_no_centre(rows, cols):
     """A crop of a command that leaves the camera's image; a batch is not spoilt."""
     crop = appearance(random_symbol()[:rows, :cols], Axes(AXES.u[:cols], AXES.v[:rows]))
     assert crop.area == 0 and not crop.centroids.isfinite().all()
@@ -126,7 +126,7 @@ def test_an_empty_image_and_a_crop_of_less_than_two_pixels_have_no_centre(rows: 
     assert seen.centroids[1].isfinite().all()
 
 
-def test_gradient_against_differences() -> None:
+def test_gradient_against_differences():
     image = (random_symbol()[18:38, 28:56] + 0.1).requires_grad_()
     axes = image_axes(20, 28, like=image)
 
@@ -137,7 +137,7 @@ def test_gradient_against_differences() -> None:
     assert torch.autograd.gradcheck(all_features, (image,), eps=1e-5, atol=1e-6)
 
 
-def test_a_pose_gives_back_the_values_it_was_made_of() -> None:
+def test_a_pose_gives_back_the_values_it_was_made_of():
     T = pose_from_degrees((17.0, -0.4, 0.2), roll_deg=3.0, pitch_deg=-2.0)
     found = {degree.name: float(degree.of_pose(T)) for degree in DEGREES}
     assert found == pytest.approx({"x": 17.0, "y": -0.4, "roll": math.radians(3.0), "pitch": math.radians(-2.0)})

@@ -28,7 +28,7 @@ def painted(x: tuple[float, float], y: tuple[float, float], view: View = VIEW, s
     return inside.float().view(view.height, v, view.width, u).mean((1, 3))
 
 
-def test_cells_look_where_their_point_projects() -> None:
+def test_cells_look_where_their_point_projects():
     """An image of its own coordinates is linear, so bilinear sampling gives them back: the half pixels are right."""
     plane = birds_eye(REGION, VIEW, dtype=torch.float64)
     u = (torch.arange(VIEW.width, dtype=torch.float64) + 0.5).expand(VIEW.height, -1)
@@ -46,7 +46,7 @@ def test_cells_look_where_their_point_projects() -> None:
     assert_close(sampled[:, inside], uv[:, inside], rtol=0, atol=1e-9)
 
 
-def test_an_edge_that_moves_by_a_part_of_a_cell_moves_the_centre_by_as_much() -> None:
+def test_an_edge_that_moves_by_a_part_of_a_cell_moves_the_centre_by_as_much():
     part_of_view = replace(VIEW, width=320, height=100, cx=VIEW.cx - 640, cy=VIEW.cy - 380)
     plane = birds_eye(REGION, part_of_view)
     pixel_m = 18.6 / VIEW.fx
@@ -76,7 +76,7 @@ each_crop = pytest.mark.parametrize("crop", CROPS, ids=["around", "one row", "co
 
 @pytest.mark.parametrize("margin_cells", [1, 0])
 @each_crop
-def test_a_crop_is_the_whole_image_with_zeros_around(crop: Window, margin_cells: int, device: torch.device) -> None:
+def test_a_crop_is_the_whole_image_with_zeros_around(crop, margin_cells, device):
     """margin_cells: dark columns of a crop on either side; in a footprint with a margin for unevenness there are four cells of them."""
     plane = birds_eye(REGION, VIEW)
     part = torch.rand(2, crop.v_stop - crop.v_start, crop.u_stop - crop.u_start, generator=torch.Generator().manual_seed(1)).to(device)
@@ -88,7 +88,7 @@ def test_a_crop_is_the_whole_image_with_zeros_around(crop: Window, margin_cells:
     assert_close(rectify(plane, part, crop.u_start, crop.v_start), expected, rtol=0, atol=2e-4)
 
 
-def test_outside_of_the_image_it_is_dark() -> None:
+def test_outside_of_the_image_it_is_dark():
     plane = birds_eye(Region(-20, 60, 20, -20, cell_m=0.5), VIEW)
     seen = rectify(plane, torch.ones(VIEW.height, VIEW.width))
     rows, cols = seen.shape

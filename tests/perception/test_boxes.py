@@ -26,7 +26,6 @@ from luxloop.perception.boxes import (
 )
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.world.frames import transform
-from luxloop.world.traffic.tracked import Category
 
 VIEW = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5))
 
@@ -38,14 +37,14 @@ def upright(x: float, width_m: float, height_m: float) -> torch.Tensor:
 
 
 @given(st.floats(7, 60), st.floats(1.05, 2.0))
-def test_whoever_stands_on_the_road_is_left_alone(x: float, height_m: float) -> None:
+def test_whoever_stands_on_the_road_is_left_alone(x, height_m):
     """Between the least and the greatest height, but for 2 %: rows of a camera that looks down are no heights on the road."""
     box = upright(x, 0.6, height_m)
     assert_close(standing(box, ("pedestrian",), VIEW), box)
 
 
 @given(st.floats(7, 60), st.floats(0.2, 0.9))
-def test_a_foot_in_the_light_gets_the_least_of_its_class(x: float, height_m: float) -> None:
+def test_a_foot_in_the_light_gets_the_least_of_its_class(x, height_m):
     found = standing(upright(x, 0.6, height_m), ("pedestrian",), VIEW)
     size = place_boxes(found, ("pedestrian",), VIEW).size_m[0]
     assert float(size[2]) == pytest.approx(HEIGHTS_M["pedestrian"][0], rel=0.02)  # rows of a camera that looks down
@@ -53,7 +52,7 @@ def test_a_foot_in_the_light_gets_the_least_of_its_class(x: float, height_m: flo
 
 
 @given(st.floats(10, 40), st.floats(0.4, 0.8))
-def test_a_foot_that_is_hidden_is_put_where_somebody_so_high_stands(x: float, hidden: float) -> None:
+def test_a_foot_that_is_hidden_is_put_where_somebody_so_high_stands(x, hidden):
     whole = upright(x, 0.6, HEIGHTS_M["pedestrian"][1])
     half = whole.clone()
     half[:, 3] -= hidden * 0.5 * (whole[:, 3] - whole[:, 1])
@@ -64,9 +63,7 @@ def test_a_foot_that_is_hidden_is_put_where_somebody_so_high_stands(x: float, hi
     ("x", "kind", "width_m", "height_m"),
     [*((x, "pedestrian", 0.6, USUAL_HEIGHTS_M["pedestrian"]) for x in (3.0, 4.0, 5.0)), (4.0, "car", 1.8, 1.5)],
 )
-def test_whoever_is_nearer_than_the_lowest_row_is_placed_by_the_usual_height_or_width(
-    x: float, kind: Category, width_m: float, height_m: float
-) -> None:
+def test_whoever_is_nearer_than_the_lowest_row_is_placed_by_the_usual_height_or_width(x, kind, width_m, height_m):
     """The row of the foot would say 6.25 m from the lamps; the camera is 1.6 m behind them."""
     whole = upright(x, width_m, height_m)
     assert float(whole[0, 3]) > VIEW.height
@@ -76,14 +73,14 @@ def test_whoever_is_nearer_than_the_lowest_row_is_placed_by_the_usual_height_or_
     assert kind == "car" or float(place.size_m[0, 2]) == pytest.approx(height_m, rel=0.05)
 
 
-def test_above_the_horizon_boxes_at_most_double() -> None:
+def test_above_the_horizon_boxes_at_most_double():
     box = torch.tensor([[300.0, 20.0, 340.0, 60.0], [300.0, 100.0, 340.0, 140.0]]).double()
     found = standing(box, ("pedestrian", "sign"), VIEW)
     assert float((found[:, 3] - found[:, 1]).max()) <= 80 and torch.equal(found[1], box[1])  # of signs nothing is known
     assert standing(torch.zeros(0, 4), (), VIEW).shape == (0, 4)
 
 
-def test_parts_are_completed_and_wholes_are_not() -> None:
+def test_parts_are_completed_and_wholes_are_not():
     expected = torch.tensor([[100.0, 100, 140, 200]]).double()
     given = torch.tensor([[[105.0, 130, 135, 195]], [[90.0, 150, 110, 210]], [[98.0, 96, 139, 203]]]).double()
     # 30 of 40 px is less than 85 %. Its foot is 5 px higher; of the second the middle is 20 px to the left, where 10 px are needed
@@ -91,14 +88,14 @@ def test_parts_are_completed_and_wholes_are_not() -> None:
     assert_close(complete(given, expected)[:, 0], torch.tensor(wanted).double())
 
 
-def test_what_is_inside_belongs_to_it_unless_it_is_before_what_is_seen_whole() -> None:
+def test_what_is_inside_belongs_to_it_unless_it_is_before_what_is_seen_whole():
     expected = torch.tensor([[100.0, 100, 140, 200], [100.0, 100, 140, 200]]).double()
     boxes = torch.tensor([[105.0, 130, 135, 199], [105.0, 130, 135, 190], [125.0, 130, 155, 199]]).double()
     wanted = torch.tensor([[True, True, False], [False, True, False]])
     assert torch.equal(parts_of(boxes, expected, torch.tensor([False, True])), wanted)
 
 
-def test_what_the_border_cuts_off_is_as_wide_as_expected() -> None:
+def test_what_the_border_cuts_off_is_as_wide_as_expected():
     expected = torch.tensor([[100.0, 100, 140, 200]]).double()
     boxes = torch.tensor([[[0.0, 90, 25, 190]], [[620.0, 90, 640, 190]], [[300.0, 90, 325, 190]], [[0.0, 90, 60, 190]]]).double()
     wanted = torch.tensor([[-15.0, 90, 25, 190], [620.0, 90, 660, 190], [300.0, 90, 325, 190], [0.0, 90, 60, 190]]).double()
@@ -107,14 +104,14 @@ def test_what_the_border_cuts_off_is_as_wide_as_expected() -> None:
     assert torch.equal(extend_cut(both, torch.tensor([[-3.0, 90, 642, 300]]).double(), 640), both)  # no size is made of two guesses
 
 
-def test_the_more_is_missing_the_less_a_part_says() -> None:
+def test_the_more_is_missing_the_less_a_part_says():
     expected = torch.tensor([[100.0, 100, 140, 200]]).double()
     boxes = torch.tensor([[100.0, 100, 140, 200], [90.0, 90, 160, 220], [100.0, 150, 110, 200]]).double()
     noise, missing = torch.tensor(MEASURED).double() * 4000**0.5, MISSING * torch.tensor([30.0, 50.0]).double()
     assert_close(spread_of(boxes, expected).sqrt(), torch.stack([noise, noise, (noise**2 + missing**2).sqrt()]))
 
 
-def test_nobody_is_before_what_is_seen_whole() -> None:
+def test_nobody_is_before_what_is_seen_whole():
     expected = torch.tensor([[100.0, 100, 140, 140], [100.0, 100, 140, 140]]).double()
     boxes = torch.tensor([[80.0, 80, 160, 170], [80.0, 80, 160, 130], [120.0, 80, 200, 170]]).double()
     assert torch.equal(occluders_of(boxes, expected, torch.tensor([True, False])), torch.tensor([[True, False, False], [False] * 3]))
@@ -131,7 +128,7 @@ def near_side(T: torch.Tensor, size: torch.Tensor) -> torch.Tensor:
 
 
 @given(st.floats(6, 80), st.floats(-0.2, 0.2), st.floats(0.3, 2.5), st.floats(0.5, 2.2))
-def test_what_stands_on_the_road_comes_back(x: float, share: float, width: float, height: float) -> None:
+def test_what_stands_on_the_road_comes_back(x, share, width, height):
     """A plate that is turned to the camera: foot, height and width are its own."""
     origin = TURNED.origin
     foot = torch.tensor([x, share * x, 0.0], dtype=torch.float64)
@@ -148,13 +145,13 @@ def test_what_stands_on_the_road_comes_back(x: float, share: float, width: float
     assert float(found.size_m[0, 2]) == pytest.approx(height, rel=0.05)
 
 
-def test_what_reaches_above_the_horizon_is_far_away() -> None:
+def test_what_reaches_above_the_horizon_is_far_away():
     found = place_boxes(torch.tensor([[300.0, 20.0, 340.0, 60.0]]), ("car",), TURNED)
     away = (found.T_world_box[0, :2, 3] - TURNED.origin[:2]).norm()
     assert float(away) == pytest.approx(FARTHEST_M + LENGTH_M["car"] / 2, rel=0.01)  # which is a depth, not a distance
 
 
-def test_boxes_stand_upright_and_look_at_the_camera() -> None:
+def test_boxes_stand_upright_and_look_at_the_camera():
     found = place_boxes(torch.tensor([[100.0, 100.0, 140.0, 250.0], [500.0, 150.0, 600.0, 300.0]]), ("car", "sign"), TURNED)
     R = found.T_world_box[:, :3, :3]
     assert_close(R @ R.transpose(1, 2), torch.eye(3).double().expand(2, 3, 3))
@@ -181,14 +178,14 @@ def frame(*spots: tuple[int, int]) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("moved", [(0, 0), (5, 3), (-8, 2)])
-def test_a_box_goes_where_both_lamps_are(moved: tuple[int, int]) -> None:
+def test_a_box_goes_where_both_lamps_are(moved):
     lamps = [(u + moved[0], 130 - round(ABOVE_M * METRE) + moved[1]) for u in (105, 130)]
     found = by_lamps(frame(*lamps), BOX, torch.tensor([METRE]).double(), NOBODY)
     wanted = BOX + torch.tensor([*moved, *moved])
     torch.testing.assert_close(found, wanted.double(), rtol=0, atol=0.5)  # lamps are whole pixels, whose middles are half a pixel on
 
 
-def test_without_lamps_there_is_nothing_to_say() -> None:
+def test_without_lamps_there_is_nothing_to_say():
     metre = torch.tensor([METRE]).double()
     assert bool(by_lamps(frame(), BOX, metre, NOBODY).isnan().all())
     assert bool(by_lamps(frame((20, 20)), BOX, metre, NOBODY).isnan().all())  # far from the box

@@ -18,7 +18,7 @@ PER_ELECTRON = 1 / (0.015 * 50_000)  # cd/m^2 of the default camera
 
 
 @pytest.mark.parametrize("gamma", [1.0, 2.2])
-def test_law_of_the_docstring(gamma: float, device: torch.device) -> None:
+def test_law_of_the_docstring(gamma, device):
     params = CameraParams(bits=8, gamma=gamma, exposure_s=0.03, sensitivity_e_per_cd_s_m2=25_000.0)
     electrons = torch.tensor([[0.0, 1.0, 250.0], [999.0, 1000.0, 5000.0]], dtype=torch.float64, device=device)
     dn = expose(electrons * PER_ELECTRON, params)
@@ -30,7 +30,7 @@ def test_law_of_the_docstring(gamma: float, device: torch.device) -> None:
 
 @pytest.mark.parametrize("gamma", [1.0, 2.2, 3.0])
 @pytest.mark.parametrize("bits", BITS)
-def test_every_level_survives_the_round_trip(bits: int, gamma: float, device: torch.device) -> None:
+def test_every_level_survives_the_round_trip(bits, gamma, device):
     params = CameraParams(bits=bits, gamma=gamma)
     dn = torch.arange(2**bits, dtype=torch.float32, device=device)[None]
     assert_close(expose(luminance_of(dn, params), params), dn, rtol=0, atol=0)
@@ -38,7 +38,7 @@ def test_every_level_survives_the_round_trip(bits: int, gamma: float, device: to
 
 @pytest.mark.parametrize(("bits", "gamma"), [(8, 1.0), (8, 2.2), (12, 1.0), (12, 2.2)])
 @pytest.mark.parametrize("electrons", [30.0, 200.0, 800.0])
-def test_noise_has_the_mean_and_variance_of_the_law(bits: int, gamma: float, electrons: float, device: torch.device) -> None:
+def test_noise_has_the_mean_and_variance_of_the_law(bits, gamma, electrons, device):
     params = CameraParams(bits=bits, gamma=gamma, read_noise_e=3)
     luminance = torch.full((300, 300), electrons * PER_ELECTRON, dtype=torch.float64, device=device)
     seen = luminance_of(expose(luminance, params, FrameNoise.of(1, 0, 0)), params)
@@ -54,7 +54,7 @@ def test_noise_has_the_mean_and_variance_of_the_law(bits: int, gamma: float, ele
 @pytest.mark.parametrize(
     ("electrons", "share", "brighter_dn"), [(0, 0.58, 3.3), (1, 0.73, 2.0), (2, 0.83, 1.2), (4, 0.93, 0.4), (8, 0.99, 0.0)]
 )
-def test_near_black_frames_vary_less_and_are_brighter(electrons: int, share: float, brighter_dn: float) -> None:
+def test_near_black_frames_vary_less_and_are_brighter(electrons, share, brighter_dn):
     """The table of docs/camera.md: there is no pedestal that would keep noise below zero."""
     params = CameraParams()
     luminance = torch.full((600, 600), electrons * PER_ELECTRON, dtype=torch.float64)
@@ -64,14 +64,14 @@ def test_near_black_frames_vary_less_and_are_brighter(electrons: int, share: flo
     assert dn.mean().item() - electrons / params.saturation_e * 4095 == pytest.approx(brighter_dn, abs=0.15)
 
 
-def test_noise_std_without_noise_is_a_uniform_level(device: torch.device) -> None:
+def test_noise_std_without_noise_is_a_uniform_level(device):
     params = CameraParams(bits=8, noise=False)
     level = luminance_of(torch.tensor(1.0), params).item()
     std = noise_std(torch.tensor([[0.5]], device=device), params)
     assert std.item() == pytest.approx(level / math.sqrt(12), rel=1e-5)
 
 
-def test_noise_by_key_given_batch_and_switched_off() -> None:
+def test_noise_by_key_given_batch_and_switched_off():
     params, even = CameraParams(), torch.full((2, 40, 50), 0.3)
     frames = [expose(even, params, FrameNoise.of(*key)) for key in ((7, 3, 1), (7, 3, 1), (8, 3, 1), (7, 4, 1), (7, 3, 0), (7, 1, 3))]
     assert torch.equal(frames[0], frames[1]) and not any(torch.equal(frames[0], other) for other in frames[2:])
@@ -87,7 +87,7 @@ def test_noise_by_key_given_batch_and_switched_off() -> None:
 
 
 @pytest.mark.parametrize("gamma", [1.0, 2.2])
-def test_unrounded_signal_is_differentiable(gamma: float) -> None:
+def test_unrounded_signal_is_differentiable(gamma):
     params = CameraParams(bits=8, gamma=gamma)
     luminance = (torch.linspace(0.05, 1.2, 12, dtype=torch.float64).reshape(3, 4)).requires_grad_()
     noise = torch.linspace(-1, 1, 12, dtype=torch.float64).reshape(3, 4)
@@ -100,7 +100,7 @@ def test_unrounded_signal_is_differentiable(gamma: float) -> None:
     assert slope.isfinite().all()
 
 
-def test_horizontal_field_of_view_is_exact() -> None:
+def test_horizontal_field_of_view_is_exact():
     view = camera_view(CameraParams(x_m=0, z_m=0, pitch_deg=0))
     assert view.fx == view.fy == pytest.approx(2388.5, abs=0.1)  # 640 / tan(15 deg)
     edge = torch.tensor([[1.0], [math.tan(math.radians(15))], [0.0]], dtype=torch.float64)  # 15 deg to the left
@@ -109,7 +109,7 @@ def test_horizontal_field_of_view_is_exact() -> None:
     assert depth.item() == pytest.approx(1.0)
 
 
-def test_projection_agrees_with_opencv_shifted_by_half_a_pixel() -> None:
+def test_projection_agrees_with_opencv_shifted_by_half_a_pixel():
     params = CameraParams(x_m=-1.2, y_m=0.3, roll_deg=2, pitch_deg=4, yaw_deg=-3, width_px=640, height_px=480)
     view = camera_view(params)
     rng = np.random.default_rng(0)
@@ -121,7 +121,7 @@ def test_projection_agrees_with_opencv_shifted_by_half_a_pixel() -> None:
     np.testing.assert_allclose(uv.T, expected[:, 0] + 0.5, atol=1e-8)
 
 
-def test_vehicle_axes_become_image_axes() -> None:
+def test_vehicle_axes_become_image_axes():
     params = CameraParams(roll_deg=10, pitch_deg=5, yaw_deg=20)
     T_mount_view = inverse(pose_from_degrees((params.x_m, params.y_m, params.z_m), 10, 5, 20)) @ camera_view(params).T_world_view
     axes = transform(T_mount_view, torch.eye(3, dtype=torch.float64))
@@ -132,7 +132,7 @@ def test_vehicle_axes_become_image_axes() -> None:
 @pytest.mark.parametrize(
     "bad", [{"bits": 9}, {"gamma": 0.5}, {"hfov_deg": 180}, {"exposure_s": 0}, {"latency_steps": 11}, {"drop_probability": 1.0}]
 )
-def test_bad_input(bad: dict[str, float]) -> None:
+def test_bad_input(bad):
     with pytest.raises(ValidationError, match=next(iter(bad))):
         CameraParams(**bad)
 
@@ -146,7 +146,7 @@ def oncoming(**keys: object) -> OncomingParams:
 
 
 @pytest.mark.parametrize("diameter_m", [0.1, 1.0])
-def test_the_image_holds_the_illuminance_at_the_camera(diameter_m: float, device: torch.device) -> None:
+def test_the_image_holds_the_illuminance_at_the_camera(diameter_m, device):
     source = oncoming(diameter_m=diameter_m, intensity_cd=800.0)
     image = glare(SMALL_VIEW, source.position_at(0.0), source, device)
     away = source.position_at(0.0) - SMALL_VIEW.origin
@@ -157,7 +157,7 @@ def test_the_image_holds_the_illuminance_at_the_camera(diameter_m: float, device
     assert abs(u + 0.5 - float(uv[0])) <= 0.5 and abs(v + 0.5 - float(uv[1])) <= 0.5
 
 
-def test_a_near_lamp_looks_as_wide_as_it_is() -> None:
+def test_a_near_lamp_looks_as_wide_as_it_is():
     source = oncoming(position_m=(3.4, 0.0, 1.35), diameter_m=0.3)  # 5 m before the camera: 36 px
     image = glare(SMALL_VIEW, source.position_at(0.0), source)
     u = torch.arange(SMALL_VIEW.width) + 0.5 - SMALL_VIEW.cx
@@ -166,7 +166,7 @@ def test_a_near_lamp_looks_as_wide_as_it_is() -> None:
     assert spread_px == pytest.approx(SMALL_VIEW.fx * 0.3 / 5 / 4, rel=0.02)
 
 
-def test_the_veil_follows_the_disability_glare_formula(device: torch.device) -> None:
+def test_the_veil_follows_the_disability_glare_formula(device):
     source = oncoming(veil=0.2, intensity_cd=1e4, position_m=(38.4, 0.0, 1.35))  # on the axis, 40 m from the camera
     image = glare(SMALL_VIEW, source.position_at(0.0), source, device)
     for column in (200, 250, 319):
@@ -174,7 +174,7 @@ def test_the_veil_follows_the_disability_glare_formula(device: torch.device) -> 
         assert float(image[90, column]) == pytest.approx(0.2 * 10 * (1e4 / 40**2) / theta**2, rel=1e-4)
 
 
-def test_a_lamp_that_drives_past_is_gone() -> None:
+def test_a_lamp_that_drives_past_is_gone():
     source = oncoming(velocity_m_s=(-20.0, 0.0, 0.0), veil=1.0)
     columns = [int(glare(SMALL_VIEW, source.position_at(t), source).max(0).values.argmax()) for t in (0.0, 1.0, 1.5)]
     assert columns[0] > columns[1] > columns[2]  # it lies to the left and comes nearer

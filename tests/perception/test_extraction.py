@@ -37,7 +37,7 @@ def extracted(on: Tensor, off: Tensor, camera: CameraParams, params: ExtractionP
 
 @pytest.mark.parametrize("name", CAMERAS)
 @pytest.mark.parametrize("luminance", [0.0, 0.01, 0.02, 0.1, 0.5])
-def test_noise_alone_makes_no_symbol(name: str, luminance: float, device: torch.device) -> None:
+def test_noise_alone_makes_no_symbol(name, luminance, device):
     dark = torch.full((360, 640), luminance, device=device)
     symbol = extracted(*frames(dark, dark, CAMERAS[name]), CAMERAS[name])
     # Five sigma leave 3e-7 of 230,000 pixels, shot noise at a dozen electrons a little more. Thresholds from single pixels of the off
@@ -47,7 +47,7 @@ def test_noise_alone_makes_no_symbol(name: str, luminance: float, device: torch.
 
 @pytest.mark.parametrize("params", [GREY, BINARY], ids=["grey", "binary"])
 @pytest.mark.parametrize("name", CAMERAS)
-def test_a_symbol_is_found_as_it_is(name: str, params: ExtractionParams, device: torch.device) -> None:
+def test_a_symbol_is_found_as_it_is(name, params, device):
     camera = CAMERAS[name]
     off = torch.linspace(0.05, 0.3, 640, device=device).expand(360, -1)
     true = torch.zeros(360, 640, device=device)
@@ -61,14 +61,14 @@ def test_a_symbol_is_found_as_it_is(name: str, params: ExtractionParams, device:
     assert (symbol - true).abs().sum() <= (0.008 * true.sum() if params is GREY else 10)
 
 
-def test_differences_are_signed(device: torch.device) -> None:
+def test_differences_are_signed(device):
     camera = CameraParams()
     on, off = torch.full((2, 2), 10.0, device=device), torch.full((2, 2), 12.0, device=device)
     assert_close(difference(on, off, camera), luminance_of(on, camera) - luminance_of(off, camera))
     assert not extracted(torch.zeros(2, 2, device=device), 4095 * torch.ones(2, 2, device=device), camera).any(), "shadows are no symbol"
 
 
-def test_threshold_is_absolute_and_grows_with_the_light_that_is_there() -> None:
+def test_threshold_is_absolute_and_grows_with_the_light_that_is_there():
     camera = CameraParams()
     off = expose(torch.tensor([[0.05, 0.2, 0.8]]), camera)
     limit = threshold(off, camera, PARAMS)[0]
@@ -82,7 +82,7 @@ def test_threshold_is_absolute_and_grows_with_the_light_that_is_there() -> None:
 
 
 @pytest.mark.parametrize("shape", [(2, 3, 20, 30), (9, 40), (1, 1), (2, 50), (50, 2)])
-def test_the_brightest_is_looked_for_three_rows_high_and_seven_columns_wide(shape: tuple[int, ...], device: torch.device) -> None:
+def test_the_brightest_is_looked_for_three_rows_high_and_seven_columns_wide(shape, device):
     contrast = torch.randn(shape, generator=torch.Generator().manual_seed(2)).exp().to(device)
     limit = torch.full(shape[-2:], 0.3, device=device)
     brightest = maximum_filter(contrast.cpu().numpy(), (*[1] * (len(shape) - 2), 3, 7), mode="constant", cval=-np.inf)
@@ -104,7 +104,7 @@ def rectangle(u: float, v: float, blur: int, samples: int = 40) -> Tensor:
 
 
 @pytest.mark.parametrize("direction", [(1.0, 0.0), (0.0, 1.0), (1.0, 1.0)], ids=["u", "v", "both"])
-def test_centres_follow_a_rectangle_by_parts_of_a_pixel(direction: tuple[float, float]) -> None:
+def test_centres_follow_a_rectangle_by_parts_of_a_pixel(direction):
     """Edges are 1.5 px wide, as those of a pixellight in the camera's image; the threshold is a twentieth of the light."""
     worst = {}
     for params in (GREY, BINARY):
@@ -121,14 +121,14 @@ def test_centres_follow_a_rectangle_by_parts_of_a_pixel(direction: tuple[float, 
 
 
 @given(st.floats(-10, 10), st.floats(0.01, 2))
-def test_the_soft_form_is_the_hard_one_a_few_sigma_away(sigmas: float, sigma: float) -> None:
+def test_the_soft_form_is_the_hard_one_a_few_sigma_away(sigmas, sigma):
     limit = torch.tensor(5 * sigma)
     contrast = limit + sigmas * sigma
     soft = symbol_image(contrast, limit, SOFT).item()
     assert soft == pytest.approx(1 / (1 + math.exp(-sigmas)), abs=1e-4)
 
 
-def test_the_soft_form_passes_gradients_where_the_hard_one_has_none() -> None:
+def test_the_soft_form_passes_gradients_where_the_hard_one_has_none():
     camera = CameraParams()
     off = torch.full((8, 8), 200.0, dtype=torch.float64)
     on = (off + torch.linspace(0, 400, 64, dtype=torch.float64).view(8, 8)).requires_grad_()
@@ -138,7 +138,7 @@ def test_the_soft_form_passes_gradients_where_the_hard_one_has_none() -> None:
     assert on.grad is not None and on.grad.isfinite().all() and (on.grad >= 0).all() and on.grad.max() > 0
 
 
-def test_the_gate_names_its_reason(device: torch.device) -> None:
+def test_the_gate_names_its_reason(device):
     expected = torch.tensor(100.0, device=device)
     areas = {
         0: ExtractionStatus.NOTHING,

@@ -38,7 +38,7 @@ def wall(x_m: float, y_m: float, height_m: float) -> Body:
     return BoxParams(name="wall", size_m=(0.1, 2.0, height_m), track=({"position_m": (x_m, y_m, 0)},)).build()
 
 
-def test_a_box_holds_all_pixels_and_nothing_more() -> None:
+def test_a_box_holds_all_pixels_and_nothing_more():
     (found,) = truth(someone(12.0))
     surfaces, _ = seen(someone(12.0))
     rows, columns = torch.nonzero(surfaces.object_id == 1).unbind(1)
@@ -50,7 +50,7 @@ def test_a_box_holds_all_pixels_and_nothing_more() -> None:
     assert found.whole == pytest.approx(found.box, abs=1.0)
 
 
-def test_what_is_hidden_is_counted_against_the_object_alone() -> None:
+def test_what_is_hidden_is_counted_against_the_object_alone():
     alone, _ = seen(someone(12.0))
     hidden, _ = seen(someone(12.0), wall(8.0, 0.0, 0.9))
     behind = next(each for each in truth(someone(12.0), wall(8.0, 0.0, 0.9)) if each.name == "eva")
@@ -59,7 +59,7 @@ def test_what_is_hidden_is_counted_against_the_object_alone() -> None:
     assert behind.whole[3] > behind.box[3] + 10  # of all of it, legs included
 
 
-def test_what_reaches_out_of_the_image_is_told_and_what_is_hidden_altogether_is_not_there() -> None:
+def test_what_reaches_out_of_the_image_is_told_and_what_is_hidden_altogether_is_not_there():
     box = BoxParams(name="box", size_m=(1.0, 2.0, 1.0), track=({"position_m": (10.0, 3.1, 0)},)).build()
     (found,) = ground_truth(*seen(box), VIEW, [None])
     assert found.whole[0] < 0 < found.whole[2] and found.box[0] == 0
@@ -68,7 +68,7 @@ def test_what_reaches_out_of_the_image_is_told_and_what_is_hidden_altogether_is_
     assert [each.name for each in truth(someone(12.0), wall(8.0, 0.0, 3.0))] == ["wall"]
 
 
-def test_heads_and_windscreens_are_found_by_their_names() -> None:
+def test_heads_and_windscreens_are_found_by_their_names():
     car = CarParams(name="car", style="hatchback", track=({"position_m": (16.0, 2.0, 0), "yaw_deg": 180},)).build()
     surfaces, triangles = seen(someone(12.0), car)
     mask = part_mask(surfaces, triangles, EYES)
@@ -83,7 +83,7 @@ def test_heads_and_windscreens_are_found_by_their_names() -> None:
     assert not part_mask(*boxes, EYES).any()
 
 
-def test_bodies_without_parts_have_no_heads_whatever_their_numbers() -> None:
+def test_bodies_without_parts_have_no_heads_whatever_their_numbers():
     plain = [replace(wall(14.0, y, 1.0), parts=()) for y in (-3.0, 3.0)]
     surfaces, triangles = seen(someone(12.0), *plain)
     assert {1, 2, 3} <= set(surfaces.object_id.unique().tolist())

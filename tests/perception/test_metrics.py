@@ -1,7 +1,6 @@
 """Image metrics against SciPy and by hand, and figures of how well things stand out."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -44,7 +43,7 @@ def scipy_ssim(a: np.ndarray, b: np.ndarray, radius: float, data_range: float) -
 
 
 @pytest.mark.parametrize("radius", [0.01, 0.8, 2.0, 9.5])
-def test_ssim_agrees_with_scipy(radius: float, device: torch.device) -> None:
+def test_ssim_agrees_with_scipy(radius, device):
     rng = np.random.default_rng(0)
     a = rng.random((2, 3, 21, 17)) * 4
     b = a + rng.normal(size=a.shape)
@@ -53,19 +52,19 @@ def test_ssim_agrees_with_scipy(radius: float, device: torch.device) -> None:
     np.testing.assert_allclose(ours, expected, rtol=1e-10)
 
 
-def test_ssim_gradient() -> None:
+def test_ssim_gradient():
     generator = torch.Generator().manual_seed(0)
     a, b = (torch.rand(6, 7, generator=generator, dtype=torch.float64, requires_grad=True) for _ in range(2))
     assert torch.autograd.gradcheck(lambda x, y: dssim(x, y, 1.0, 1.0), [a, b])
 
 
 @pytest.mark.parametrize(("radius", "data_range"), [(0.0, 1.0), (1.0, 0.0)])
-def test_ssim_refuses_empty_windows_and_ranges(radius: float, data_range: float) -> None:
+def test_ssim_refuses_empty_windows_and_ranges(radius, data_range):
     with refusal("positive radius and data_range"):
         ssim(torch.zeros(3, 3), torch.zeros(3, 3), radius, data_range)
 
 
-def test_iou(device: torch.device) -> None:
+def test_iou(device):
     a = torch.zeros(4, 10, 10, dtype=torch.bool, device=device)
     b = torch.zeros_like(a)
     a[0, :, :4], b[0, :, 2:6] = True, True  # 20 of 60
@@ -74,7 +73,7 @@ def test_iou(device: torch.device) -> None:
     assert_close(iou(a, b).cpu(), torch.tensor([1 / 3, 1.0, 0.0, 1.0]))
 
 
-def test_errors_by_hand(device: torch.device) -> None:
+def test_errors_by_hand(device):
     wanted = torch.tensor([[0.0, 2.0], [4.0, 0.0]], device=device)
     actual = torch.tensor([[[1.0, 2.0], [2.0, 0.0]], [[0.0, 2.0], [4.0, 0.0]]], device=device)
     assert_close(mae(actual, wanted).cpu(), torch.tensor([3 / (2 * 4), 0.0]))
@@ -83,7 +82,7 @@ def test_errors_by_hand(device: torch.device) -> None:
 
 
 @pytest.mark.parametrize("error", [mae, rmse, mare])
-def test_errors_need_a_positive_setpoint(error: Callable[[torch.Tensor, torch.Tensor], torch.Tensor]) -> None:
+def test_errors_need_a_positive_setpoint(error):
     wanted = torch.ones(2, 3, 3)
     wanted[1] = 0
     with refusal("dark everywhere"):
@@ -98,32 +97,32 @@ def patch(own: float, background: float) -> torch.Tensor:
     return torch.where(MASK, own, background).double()
 
 
-def test_weber_contrast_is_the_difference_over_the_background() -> None:
+def test_weber_contrast_is_the_difference_over_the_background():
     assert float(weber_contrast(patch(3.0, 1.0), MASK, 0.0)) == pytest.approx(2.0)
     assert float(weber_contrast(patch(0.25, 1.0), MASK, 0.0)) == pytest.approx(0.75)
     assert float(weber_contrast(1e-6 * patch(3.0, 1.0), MASK, 1e-3)) < 0.01  # nobody can tell
 
 
-def test_edges_are_as_steep_as_the_ratio_says() -> None:
+def test_edges_are_as_steep_as_the_ratio_says():
     one = edge_definition(patch(2.0, 1.0), MASK, 0.0)
     assert float(edge_definition(patch(4.0, 1.0), MASK, 0.0)) == pytest.approx(2 * float(one))
     assert float(edge_definition(patch(1.0, 1.0), MASK, 0.0)) < 1e-5
     assert float(one) == pytest.approx(0.693, rel=0.05)  # log 2 a px; at the one corner that counts it is steeper by root two
 
 
-def test_even_light_is_even() -> None:
+def test_even_light_is_even():
     assert float(unevenness(patch(5.0, 0.0), MASK, 0.0)) == pytest.approx(0.0)
     stripes = torch.arange(60.0).remainder(2).expand(40, 60)
     assert float(unevenness(stripes, MASK, 0.0)) == pytest.approx(1.0)
 
 
-def test_the_ring_lies_around() -> None:
+def test_the_ring_lies_around():
     around = ring(MASK, 3)
     assert not bool((around & MASK).any()) and int(around.sum()) == 26 * 26 - 20 * 20
 
 
 @pytest.mark.parametrize("measure", [weber_contrast, edge_definition, unevenness])
-def test_gradients_are_right(measure) -> None:
+def test_gradients_are_right(measure):
     light = torch.rand(40, 60, dtype=torch.float64, generator=torch.Generator().manual_seed(3)).add(0.5).requires_grad_(True)
     assert torch.autograd.gradcheck(lambda image: measure(image, MASK, 0.01), (light,), fast_mode=True)
 
@@ -146,7 +145,7 @@ def goal() -> Target:
     return target(symbol(), PLANE, LENGTH, WIDTH)
 
 
-def test_the_target_is_perfect(goal: Target) -> None:
+def test_the_target_is_perfect(goal):
     metrics = evaluate(symbol(), PLANE, goal)
     assert metrics.centroid_percent.tolist() == [0, 0]
     assert metrics.iou == 1
@@ -158,7 +157,7 @@ def test_the_target_is_perfect(goal: Target) -> None:
 
 
 @pytest.mark.parametrize(("dx", "dy"), [(0.4, 0.0), (-0.4, 0.0), (0.0, 0.2), (0.0, -0.2), (1.0, 0.5)])
-def test_a_shift_is_given_in_percent_of_the_symbol_forward_and_to_the_left(goal: Target, dx: float, dy: float) -> None:
+def test_a_shift_is_given_in_percent_of_the_symbol_forward_and_to_the_left(goal, dx, dy):
     metrics = evaluate(symbol(dx, dy), PLANE, goal)
     # A pixel is 0.11 m long at 17 m; thresholded, its interpolation knows the centre to a sixth of that, 0.5 % of 4 m.
     assert metrics.centroid_percent[0].item() == pytest.approx(100 * dx / LENGTH, abs=0.5)
@@ -168,7 +167,7 @@ def test_a_shift_is_given_in_percent_of_the_symbol_forward_and_to_the_left(goal:
 
 
 @pytest.mark.parametrize(("shear", "stretch"), [(-0.3, 1.0), (0.3, 1.0), (0.0, 0.8), (0.0, 1.25)])
-def test_shear_and_length_leave_each_other_and_the_centre(goal: Target, shear: float, stretch: float) -> None:
+def test_shear_and_length_leave_each_other_and_the_centre(goal, shear, stretch):
     metrics = evaluate(symbol(shear=shear, stretch=stretch), PLANE, goal)
     # In the plane u = -y and v = -x grow to the right and towards the car.
     assert metrics.shear.item() == pytest.approx(shear, abs=0.03)
@@ -177,7 +176,7 @@ def test_shear_and_length_leave_each_other_and_the_centre(goal: Target, shear: f
 
 
 @pytest.mark.parametrize("dx", [0.0, 1.5, 9.0])
-def test_similarity_is_that_of_the_whole_plane(goal: Target, dx: float) -> None:
+def test_similarity_is_that_of_the_whole_plane(goal, dx):
     """Though it is computed only where there is light."""
     luminance = torch.stack([symbol(dx, dy) for dy in (0.0, 0.7)])
     seen, wanted = (
@@ -187,7 +186,7 @@ def test_similarity_is_that_of_the_whole_plane(goal: Target, dx: float) -> None:
     assert evaluate(luminance, PLANE, goal).ssim.tolist() == pytest.approx(ssim(seen, wanted, SSIM_RADIUS, 1.0).tolist(), abs=2e-6)
 
 
-def test_a_crop_is_evaluated_as_the_whole_image_that_is_dark_beyond(goal: Target) -> None:
+def test_a_crop_is_evaluated_as_the_whole_image_that_is_dark_beyond(goal):
     whole = torch.stack([symbol(), symbol(1.0, 0.5), torch.zeros_like(symbol())])
     v, u = whole.any(0).any(1).nonzero(), whole.any(0).any(0).nonzero()
     cut = whole[:, int(v[0]) - 3 : int(v[-1]) + 5, int(u[0]) - 4 : int(u[-1]) + 2]

@@ -21,7 +21,7 @@ def pedestrian(y_m: float) -> Detections:
 
 
 @pytest.mark.parametrize(("aside_m", "numbers"), [(0.15, [1]), (0.6, [1, 2])])
-def test_a_detection_beyond_four_standard_deviations_is_of_somebody_else(aside_m: float, numbers: list[int]) -> None:
+def test_a_detection_beyond_four_standard_deviations_is_of_somebody_else(aside_m, numbers):
     """After ten frames at one place a foot is known to 0.04 m and measured to 0.05 m; 0.6 m aside cost less than a frame without it."""
     tracker = Tracker(("pedestrian",), VIEW, TrackerParams())
     tracks = tracker.start()
@@ -37,7 +37,7 @@ RATE_HZ, FOUND, ALL = 30.0, 5, 40  # frames with the car's box, and in all
     ("start_score", "lamps", "score"),
     [*((start, 2, 0.0) for start in (0.3, 0.45, 0.5, 0.7, 0.9)), (0.5, 1, 0.0), (0.5, 0, 0.0), (0.5, 0, 0.6)],
 )
-def test_a_dark_car_is_kept_while_both_lamps_shine(start_score: float, lamps: int, score: float) -> None:
+def test_a_dark_car_is_kept_while_both_lamps_shine(start_score, lamps, score):
     """score: of what the detector goes on to find, as a share of what starts a track."""
     classes = get_args(Category)
     tracker = Tracker(classes, VIEW, TrackerParams(start_score=start_score))

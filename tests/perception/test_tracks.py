@@ -51,7 +51,7 @@ def tracked(frames: list[Detections], tracker: Tracker = TRACKER, rate_hz: float
     return tracks
 
 
-def test_a_new_object_is_reported_after_the_frames_that_confirm_it() -> None:
+def test_a_new_object_is_reported_after_the_frames_that_confirm_it():
     assert [len(shown(n).confirmed_tracks) for n in (1, 2, 3, 4)] == [0, 0, 1, 1]
     assert float(shown(5).confirmed_tracks.since_s) == pytest.approx(2 / RATE_HZ)
     assert len(shown(1, TrackerParams(confirm_frames=1)).confirmed_tracks) == 1
@@ -59,7 +59,7 @@ def test_a_new_object_is_reported_after_the_frames_that_confirm_it() -> None:
     assert len(tracked([detections(BOX, scores=[[0.49, 0.1, 0, 0]])])) == 0
 
 
-def test_a_lost_one_is_kept_for_a_while_then_lost_then_forgotten() -> None:
+def test_a_lost_one_is_kept_for_a_while_then_lost_then_forgotten():
     kept, lost = shown(20, then=29), shown(20, then=31)
     assert math.isinf(float(kept.confirmed_tracks.until_s)) and bool(kept.confirmed_tracks.score.isnan().all())
     assert float(lost.confirmed_tracks.until_s) == pytest.approx(
@@ -71,14 +71,14 @@ def test_a_lost_one_is_kept_for_a_while_then_lost_then_forgotten() -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 30.0, 100.0])
-def test_a_miss_lasts_twice_as_long_as_the_track_and_no_longer_than_keep_s(rate_hz: float) -> None:
+def test_a_miss_lasts_twice_as_long_as_the_track_and_no_longer_than_keep_s(rate_hz):
     for frames, keep_s in ((3, 1.0), (4, 10.0), (10, 0.4)):
         kept, params = min(2 * frames, round(keep_s * rate_hz)), TrackerParams(keep_s=keep_s)
         assert [len(shown(frames, params, then, rate_hz).present) for then in (kept, kept + 1)] == [1, 0]
 
 
 @pytest.mark.parametrize("time_constant_s", [0.0, 0.15])
-def test_confidence_is_a_first_order_filter_of_scores(time_constant_s: float) -> None:
+def test_confidence_is_a_first_order_filter_of_scores(time_constant_s):
     params = TrackerParams(confidence_s=time_constant_s)
     tracks, tracker = shown(10, params), Tracker(CLASSES, VIEW, params)
     step, missed = (tracker.step(tracks, each, 10 / RATE_HZ) for each in (detections(BOX, scores=[[0.2, 0.9, 0.05, 0.0]]), NOTHING))
@@ -90,12 +90,12 @@ def test_confidence_is_a_first_order_filter_of_scores(time_constant_s: float) ->
 
 
 @pytest.mark.parametrize(("other", "category"), [(0.6, "pedestrian"), (0.95, "cyclist")])
-def test_a_class_changes_only_where_the_detector_is_much_surer(other: float, category: str) -> None:
+def test_a_class_changes_only_where_the_detector_is_much_surer(other, category):
     tracks = tracked([detections(BOX)] * 10 + [detections(BOX, scores=[[0.4, other, 0.0, 0.0]])] * 50)
     assert CLASSES[int(tracks.category)] == category
 
 
-def test_the_filter_is_the_matrix_form_of_kalmans() -> None:
+def test_the_filter_is_the_matrix_form_of_kalmans():
     tracks = shown(2)
     ahead, dt = TRACKER.at(tracks, 0.2), 0.2 - tracks.time_s
     F = torch.tensor([[1, dt], [0, 1]], dtype=torch.float64)
@@ -112,7 +112,7 @@ def test_the_filter_is_the_matrix_form_of_kalmans() -> None:
     torch.testing.assert_close(after.covariance[0, 0], (torch.eye(2).double() - K @ H) @ P)
 
 
-def test_two_boxes_of_one_place_are_two_tracks_and_a_far_one_is_not_taken() -> None:
+def test_two_boxes_of_one_place_are_two_tracks_and_a_far_one_is_not_taken():
     far = moved(BOX, 300, 0, 300)
     after = TRACKER.step(shown(5), detections(BOX, far), 5 / RATE_HZ)
     assert after.number.tolist() == [1, 2] and after.frames.tolist() == [6, 1]
@@ -120,14 +120,14 @@ def test_two_boxes_of_one_place_are_two_tracks_and_a_far_one_is_not_taken() -> N
     assert other_order.number.tolist() == [1, 2] and other_order.frames.tolist() == [7, 2]
 
 
-def test_tracks_are_a_value() -> None:
+def test_tracks_are_a_value():
     tracks = shown(5)
     after, again = (TRACKER.step(each, detections(BOX), 5 / RATE_HZ) for each in (tracks, pickle.loads(pickle.dumps(tracks))))
     assert tracks.frames.tolist() == [5]
     assert all(torch.equal(getattr(after, name), getattr(again, name)) for name in EACH if name != "score")
 
 
-def test_weak_detections_neither_move_nor_take_nor_start_a_track() -> None:
+def test_weak_detections_neither_move_nor_take_nor_start_a_track():
     tracks = shown(10)
     weak = detections(moved(BOX, 30, 0, 30), scores=[[0.1, 0.0, 0.0, 0.0]])
     aside, missed = (TRACKER.step(tracks, each, 10 / RATE_HZ) for each in (weak, NOTHING))
@@ -143,7 +143,7 @@ def test_weak_detections_neither_move_nor_take_nor_start_a_track() -> None:
     assert kept.number.tolist() == [1] and float(kept.seen_s) == 29 / RATE_HZ and bool(kept.until_s.isinf().all())
 
 
-def test_a_size_follows_what_is_seen_and_stays_as_its_object_comes_nearer() -> None:
+def test_a_size_follows_what_is_seen_and_stays_as_its_object_comes_nearer():
     tracks = tracked([detections(plate(30 - k / 3, 1.0, *SIZES["pedestrian"])) for k in range(45)])
     assert tracks.number.tolist() == [1]
     # A plate of 1.75 m; rows of a camera that looks down by 1.5 deg are 0.1 % farther apart
@@ -158,7 +158,7 @@ def test_a_size_follows_what_is_seen_and_stays_as_its_object_comes_nearer() -> N
 
 
 @pytest.mark.parametrize(("high", "wide", "least", "most"), [(0.6, 0.4, 1.0, 1.1), (1.75, 3.0, 1.7, 1.8), (1.75, 0.1, 1.7, 1.8)])
-def test_sizes_are_those_of_the_class(high: float, wide: float, least: float, most: float) -> None:
+def test_sizes_are_those_of_the_class(high, wide, least, most):
     """What is found may be half of somebody, or of two."""
     u, foot, metre = 320.0, BOX[3], (BOX[3] - BOX[1]) / 1.755
     tracks = tracked([detections((u - wide * metre / 2, foot - high * metre, u + wide * metre / 2, foot))] * 5)
@@ -171,7 +171,7 @@ def walk(k: float, px: float = 4.0) -> Box:
     return moved(BOX, px * k, 0, px * k)
 
 
-def test_whoever_goes_behind_something_comes_out_on_the_other_side() -> None:
+def test_whoever_goes_behind_something_comes_out_on_the_other_side():
     """From the 20th frame on less and less is seen, without feet, then nothing, then a part."""
     tracks = TRACKER.start()
     for k in range(50):
@@ -186,7 +186,7 @@ def test_whoever_goes_behind_something_comes_out_on_the_other_side() -> None:
     assert (TRACKER.boxes(tracks)[0] - torch.tensor(walk(19))).abs().max() < 6  # px; 5 % of its height
 
 
-def test_a_box_of_two_who_pass_each_other_moves_neither() -> None:
+def test_a_box_of_two_who_pass_each_other_moves_neither():
     """For eight frames the detector finds the nearer one alone, who lags as strides do."""
     other, frames = moved(BOX, -3, -3, -3, -3), []
     for k in range(-25, 25):
@@ -199,7 +199,7 @@ def test_a_box_of_two_who_pass_each_other_moves_neither() -> None:
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_whoever_walks_out_of_the_image_is_followed_to_its_border_and_no_longer(side: int) -> None:
+def test_whoever_walks_out_of_the_image_is_followed_to_its_border_and_no_longer(side):
     tracks, found = TRACKER.start(), 0
     for k in range(90):
         left, top, right, bottom = plate(12.0, side * (2.0 + 1.4 * k / RATE_HZ), *SIZES["pedestrian"])
@@ -216,7 +216,7 @@ def test_whoever_walks_out_of_the_image_is_followed_to_its_border_and_no_longer(
 
 
 @pytest.mark.parametrize(("side", "seed"), [(-1, 0), (1, 1)])
-def test_whoever_leaves_the_image_keeps_its_number_where_frames_miss_it(side: int, seed: int) -> None:
+def test_whoever_leaves_the_image_keeps_its_number_where_frames_miss_it(side, seed):
     """Half of the car is outside from the 8th frame on, which is found 34 frames longer, nine times of ten."""
     rng = torch.Generator().manual_seed(seed)
     frames, missed = [], 0
@@ -229,7 +229,7 @@ def test_whoever_leaves_the_image_keeps_its_number_where_frames_miss_it(side: in
     assert missed > 0 and tracked(frames).following == 2
 
 
-def test_what_is_expected_too_low_comes_back_to_where_it_is_seen() -> None:
+def test_what_is_expected_too_low_comes_back_to_where_it_is_seen():
     """A box that was too large holds all that is found afterwards, which must not keep it where it is."""
     box = plate(20.0, 0.0, *CHILD)
     tracks = tracked([detections(moved(box, -10, -15, 10, 20))] * 5 + [detections(box)] * 55)
@@ -254,7 +254,7 @@ ADULT, SHORT, BEHIND = plate(15.0, 0.0, *SIZES["pedestrian"]), plate(14.7, 0.05,
         (detections(ADULT), detections(ADULT, BEHIND), 1),  # and behind, as legs alone
     ],
 )
-def test_a_detection_within_another_starts_a_track_or_is_a_part(known: Detections, then: Detections, tracks: int) -> None:
+def test_a_detection_within_another_starts_a_track_or_is_a_part(known, then, tracks):
     after = tracked([known] * 5 + [then] * 5)
     assert len(after.present) == tracks
     if then.boxes[-1].tolist() == pytest.approx(SHORT, rel=1e-6):

@@ -112,7 +112,7 @@ def shape(mi: ModuleType, body: Body, folder: Path) -> dict:
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 40.0, 60.0])
-def test_the_projector_is_a_lamp(mi: ModuleType, angle_deg: float) -> None:
+def test_the_projector_is_a_lamp(mi, angle_deg):
     """The formula above, on a wall that faces the light at an angle to the lamp's axis."""
     lamp = idealised(1, 1, (512, 512), 70, 70, -70)
     direction = np.array([math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg)), 0.0])
@@ -171,7 +171,7 @@ def even(image: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_two_lamps_project_a_pattern_on_an_uneven_scene(mi: ModuleType, name: str, tmp_path: Path) -> None:
+def test_two_lamps_project_a_pattern_on_an_uneven_scene(mi, name, tmp_path):
     bodies, utilisation = SCENES[name]
     view = camera(640, 360)
     ours, object_id = our_illuminance(bodies, view, utilisation)
@@ -194,7 +194,7 @@ def test_two_lamps_project_a_pattern_on_an_uneven_scene(mi: ModuleType, name: st
 
 
 @pytest.mark.parametrize("name, median", [("bumps of -2 to 5 cm, interpolated normals", 0.0013), ("ISO 8608 class C, face normals", 0.060)])
-def test_face_and_interpolated_normals_are_not_the_same_light(name: str, median: float) -> None:
+def test_face_and_interpolated_normals_are_not_the_same_light(name, median):
     """By how much, as docs/light.md says; a reason to compare like with like."""
     (road,), utilisation = SCENES[name]
     view = camera(320, 180)

@@ -12,7 +12,6 @@ from luxloop.world.frames import pose_from_degrees
 from luxloop.world.rendering.gbuffer import gbuffer
 from luxloop.world.rendering.raycast import TOLERANCE_M, sees
 from luxloop.world.rendering.surfaces import face_source
-from luxloop.world.roads.base import Road
 from luxloop.world.roads.shapes import Bumps, Flat, Grade, Iso8608
 from luxloop.world.scene.body import Body, PoseTrack
 from luxloop.world.scene.ground import road_mesh
@@ -58,7 +57,7 @@ def things() -> tuple[Body, ...]:
 @pytest.mark.parametrize(
     "mesh", [rough(), bumpy(), road_mesh(Iso8608(roughness_class="E"))], ids=["white noise of 2 mm", "bumpy", "class E"]
 )
-def test_shadows_are_those_of_a_second_implementation_in_float64(mesh: trimesh.Trimesh):
+def test_shadows_are_those_of_a_second_implementation_in_float64(mesh):
     triangles, view = scene_with(mesh, *things()), camera()
     seen = gbuffer(triangles, view, face_source().face_ids(triangles, view))
     points = seen.position[:, seen.object_id >= 0]
@@ -88,7 +87,7 @@ def mesh_points(mesh: trimesh.Trimesh, x_m: float, n: int = 10_000) -> torch.Ten
     [Flat(), Grade(grade_percent=12, crossfall_percent=5, start_x_m=3), Bumps(), Iso8608(roughness_class="C")],
     ids=["flat", "steep", "bumps", "rough"],
 )
-def test_no_road_throws_shadows_that_are_not_there(road: Road):
+def test_no_road_throws_shadows_that_are_not_there(road):
     mesh = road_mesh(road)
     triangles, seen = scene_with(mesh), 0
     for x_m in DISTANCES_M:
@@ -103,7 +102,7 @@ def test_no_road_throws_shadows_that_are_not_there(road: Road):
 @pytest.mark.parametrize("thickness_m", [0.005, 0.02, 1.0], ids=["board", "thin wall", "box"])
 @pytest.mark.parametrize("x_m", DISTANCES_M)
 @pytest.mark.parametrize("road", [Flat(), Bumps()], ids=["flat", "bumps"])
-def test_shadows_begin_at_the_foot_at_all_distances(road: Road, x_m: float, thickness_m: float):
+def test_shadows_begin_at_the_foot_at_all_distances(road, x_m, thickness_m):
     thing = BoxParams(name="thing", size_m=(thickness_m, 1.5, 1.2), track=[{"position_m": (x_m, 0.6, float(road.z(x_m, 0.6)) - 0.2)}])
     triangles = scene_with(road_mesh(road), thing.build())
     back = x_m + thickness_m / 2

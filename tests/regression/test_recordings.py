@@ -120,7 +120,7 @@ def held(name: str) -> dict[str, FeatureParams]:
 
 
 @pytest.mark.parametrize("name", [name for name in scenario_files() if name not in LIKE_OTHERS])
-def test_scenario_begins_as_recorded(name: str, re_record: bool) -> None:
+def test_scenario_begins_as_recorded(name, re_record):
     if re_record:
         pytest.skip("the recording is replaced")
     compared(name, trajectory(name, whole=False))
@@ -128,7 +128,7 @@ def test_scenario_begins_as_recorded(name: str, re_record: bool) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", scenario_files())
-def test_scenario_runs_as_recorded(name: str, re_record: bool, capsys: pytest.CaptureFixture[str]) -> None:
+def test_scenario_runs_as_recorded(name, re_record, capsys):
     now, file = trajectory(name), file_of(name)
     kept = pq.read_table(file) if file.is_file() else None
     if re_record:
@@ -152,7 +152,7 @@ def compared(name: str, now: pa.Table) -> None:
     assert not differences, f"{name} runs differently; {remedy}\n{told(differences)}"
 
 
-def test_a_change_of_the_light_is_told() -> None:
+def test_a_change_of_the_light_is_told():
     now = pq.read_table(file_of("gfhb"))
     name = "objects.oncoming_car.lx_max"
     assert max(now["dark_lx_max"].to_pylist()) == 0.0  # the masks of the scenario keep all light off
@@ -163,13 +163,13 @@ def test_a_change_of_the_light_is_told() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("setting", [{"OMP_NUM_THREADS": "1"}, {"OMP_NUM_THREADS": "2"}, {"ATEN_CPU_CAPABILITY": "default"}], ids=str)
-def test_recordings_hold_on_other_machines(setting: dict[str, str]) -> None:
+def test_recordings_hold_on_other_machines(setting):
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-m", "slow", "-k", "runs_as_recorded", str(Path(__file__).parent)]
     result = subprocess.run(command, env={**os.environ, **setting}, cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout
 
 
-def test_every_recording_has_its_scenario() -> None:
+def test_every_recording_has_its_scenario():
     assert {file.stem for file in FOLDER.glob("*")} <= set(scenario_files())
 
 

@@ -25,13 +25,13 @@ class Squares:
         return x * x
 
 
-def test_the_last_results_are_kept() -> None:
+def test_the_last_results_are_kept():
     squares = Squares()
     assert [squares.of(x) for x in (1, 2, 1, 2)] == [1, 4, 1, 4] and squares.asked == 2
     assert [squares.of(x) for x in (3, 1)] == [9, 1] and squares.asked == 4, "1 was the oldest"
 
 
-def test_objects_go_with_their_last_user() -> None:
+def test_objects_go_with_their_last_user():
     squares = Squares()
     squares.of(3)
     gone = weakref.ref(squares)
@@ -61,7 +61,7 @@ def image(computed: list[Part]) -> PartialImage:
     return PartialImage.of(200, 300, WHOLE, part_of)
 
 
-def test_only_what_is_read_is_computed(image: PartialImage, computed: list[Part]) -> None:
+def test_only_what_is_read_is_computed(image, computed):
     assert (image.shape, image.dtype, image.device, image.dim(), image.size(-1)) == ((200, 300), torch.float32, WHOLE.device, 2, 300)
     assert isinstance(image, Tensor) and not computed
     rows, columns = slice(50, 60), slice(100, 140)
@@ -72,7 +72,7 @@ def test_only_what_is_read_is_computed(image: PartialImage, computed: list[Part]
     assert image[farther].equal(WHOLE[farther]) and image[rows, columns].equal(WHOLE[rows, columns]) and len(computed) == 2
 
 
-def test_all_else_sees_the_whole(image: PartialImage, computed: list[Part]) -> None:
+def test_all_else_sees_the_whole(image, computed):
     assert image[10:12, 20:30].sum() == WHOLE[10:12, 20:30].sum()
     assert float(image.max()) == float(WHOLE.max()) and computed[1:] == [(slice(0, 200), slice(0, 300))]
     for same in (image + 0, 0 + image, image[::1], image[0:200:1, :], image.clone(), torch.stack([image, image])[1], copy.deepcopy(image)):

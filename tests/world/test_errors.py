@@ -30,21 +30,21 @@ KNOWN = ("zones", "flat", "gfhb", "belgian_block", "kp")
         ("bel", "belgian_block"),
     ],
 )
-def test_one_slip_is_recognised(given: str, meant: str) -> None:
+def test_one_slip_is_recognised(given, meant):
     assert did_you_mean(given, KNOWN) == f"did you mean {meant!r}?"
 
 
 @pytest.mark.parametrize("given", ["nonexist", "night", "", "belt", "xy"])
-def test_what_is_not_near_is_not_suggested(given: str) -> None:
+def test_what_is_not_near_is_not_suggested(given):
     assert did_you_mean(given, KNOWN) == "known are zones, flat, gfhb, belgian_block, kp"
     assert did_you_mean(given, KNOWN, "see the list") == "see the list"
 
 
-def test_input_in_a_message_does_not_control_the_terminal() -> None:
+def test_input_in_a_message_does_not_control_the_terminal():
     assert str(LuxloopError("a\x1b[31m\x07: line\nü")) == "a?[31m?: line ü"
 
 
-def test_plain_data_is_told_without_logins() -> None:
+def test_plain_data_is_told_without_logins():
     rig = {
         "camera": {"url": "rtsp://a:b@host/x?user=c&PWD=d&n=1", "options": {"password": "e", "rtsp_transport": "tcp", "width": 3}},
         "list": ["x://f@g"],
@@ -87,11 +87,11 @@ def errors(**data: Any) -> list[str]:
     return list(caught.value.args)
 
 
-def test_one_error_is_a_sentence() -> None:
+def test_one_error_is_a_sentence():
     assert errors(name=3) == ["name: 3 is not a text in quotes"]
 
 
-def test_errors_in_nested_lists_have_their_places() -> None:
+def test_errors_in_nested_lists_have_their_places():
     corners = [[0, "a"], [1], [[], 2]]
     assert errors(name="x", shapes=[{"kind": "slab", "corners_m": corners}]) == [
         "3 errors",
@@ -101,7 +101,7 @@ def test_errors_in_nested_lists_have_their_places() -> None:
     ]
 
 
-def test_a_variant_has_its_own_errors_alone() -> None:
+def test_a_variant_has_its_own_errors_alone():
     shapes = [{"kind": "disc", "radius": 1}, {"kind": "disk", "zzz": 3}, {"radius_m": 1}, {"kind": "mine:Shape", "option": 1}, 7]
     assert errors(name="x", shapes=shapes) == [
         "5 errors",
@@ -113,12 +113,12 @@ def test_a_variant_has_its_own_errors_alone() -> None:
     ]
 
 
-def test_a_default_that_cannot_be_made_is_no_error() -> None:
+def test_a_default_that_cannot_be_made_is_no_error():
     assert validate_model(Sheet, {"name": "x", "low": 3}, "").high == 4
     assert errors(name="x", low="a") == ["low: 'a' is not a whole number"]
 
 
-def test_a_misspelt_key_is_not_also_missing() -> None:
+def test_a_misspelt_key_is_not_also_missing():
     assert errors(nam="x") == ["nam: unknown key; did you mean 'name'?"]
     assert errors(zzz="x")[1:] == [
         "zzz: unknown key; known are name, shapes, low, high",
@@ -144,7 +144,7 @@ def said(program: str) -> str:
     return subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True, timeout=120).stdout
 
 
-def test_few_addresses_are_refused_before_libraries_crash() -> None:
+def test_few_addresses_are_refused_before_libraries_crash():
     limit = "import resource; resource.setrlimit(resource.RLIMIT_AS, (3_000_000_000, 3_000_000_000))"
     ask = "from luxloop.world.rendering.rasterise import check_process\ntry: check_process()\nexcept ValueError as error: print(error)"
     assert "ulimit -v" in said(f"{limit}\n{ask}") and said(ask) == ""
@@ -157,7 +157,7 @@ def test_few_addresses_are_refused_before_libraries_crash() -> None:
         ("import pyrender; pyrender.OffscreenRenderer(8, 8).delete(); say()", "delete()"),
     ],
 )
-def test_a_context_that_cannot_be_current_is_a_sentence(then: str, word: str) -> None:
+def test_a_context_that_cannot_be_current_is_a_sentence(then, word):
     try:
         face_source("opengl")
     except NoOpenGL as error:

@@ -19,7 +19,7 @@ from luxloop.world.messages import ArrayHead, given_arrays
 from tests.refusal import refusal
 
 
-def test_a_file_takes_its_place_when_it_is_whole(tmp_path: Path) -> None:
+def test_a_file_takes_its_place_when_it_is_whole(tmp_path):
     target = tmp_path / "a.txt"
     target.write_text("old")
     with whole(target) as part:
@@ -29,7 +29,7 @@ def test_a_file_takes_its_place_when_it_is_whole(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_what_fails_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_what_fails_leaves_nothing_behind(tmp_path):
     with pytest.raises(ZeroDivisionError), whole(tmp_path / "a.txt") as part:
         part.write_text("half")
         raise ZeroDivisionError
@@ -65,7 +65,7 @@ def png(width: int, height: int) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + b"".join(body)
 
 
-def test_what_fits_is_afforded_and_what_does_not_is_named_with_its_remedy() -> None:
+def test_what_fits_is_afforded_and_what_does_not_is_named_with_its_remedy():
     afford("the scene", BUDGET_BYTES, "make it smaller")
     with pytest.raises(
         LuxloopError, match=r"^the scene would take at least 6 GB of memory, more than the budget of 3 GB; make it smaller$"
@@ -75,7 +75,7 @@ def test_what_fits_is_afforded_and_what_does_not_is_named_with_its_remedy() -> N
         afford("a size of 5,000 digits", 10**4999, "make it smaller")  # which no float holds
 
 
-def test_arrays_declare_no_more_than_their_file_holds(tmp_path: Path) -> None:
+def test_arrays_declare_no_more_than_their_file_holds(tmp_path):
     file = tmp_path / "a.npy"
     file.write_bytes(npy((1_000_000_000,)))
     with pytest.raises(ValueError, match="longer than its file"):
@@ -84,7 +84,7 @@ def test_arrays_declare_no_more_than_their_file_holds(tmp_path: Path) -> None:
         read_npz(npz(tmp_path / "a.npz", a=npy((40_000, 40_000))))
 
 
-def test_archives_that_unpack_to_more_than_the_budget_are_refused(tmp_path: Path) -> None:
+def test_archives_that_unpack_to_more_than_the_budget_are_refused(tmp_path):
     file = npz(tmp_path / "a.npz", a=npy((2**26,), bytes(2**28)), b=npy((2**27,), bytes(2**29)))
     assert file.stat().st_size < 1e6
     with refusal(r"its arrays would take at least 3.22 GB"):
@@ -98,12 +98,12 @@ def test_archives_that_unpack_to_more_than_the_budget_are_refused(tmp_path: Path
         *map(npy_header, ("{'descr': '<f4", "(" * 200, "{'descr': '|O', 'fortran_order': False, 'shape': (3,), }", "[1, 2]", "\0")),
     ],
 )
-def test_entries_that_are_no_arrays_are_told_in_a_sentence(header: bytes, tmp_path: Path) -> None:
+def test_entries_that_are_no_arrays_are_told_in_a_sentence(header, tmp_path):
     with refusal("damaged, or no lamp file"):
         archive.load(npz(tmp_path / "a.npz", header=header))
 
 
-def test_pictures_declare_no_more_pixels_than_the_budget_bears() -> None:
+def test_pictures_declare_no_more_pixels_than_the_budget_bears():
     assert decode(png(30, 1), "it") is not None
     for side in (10_000, 12_000, 100_000):
         with refusal(r"^it: its pixels would take at least .* GB of memory.*shrink the picture$"):
@@ -112,7 +112,7 @@ def test_pictures_declare_no_more_pixels_than_the_budget_bears() -> None:
 
 
 @pytest.mark.parametrize("shape", [(5, 7), (1000, 1000)])
-def test_arrays_of_messages_are_unpacked_no_further_than_their_shape(shape: tuple[int, ...]) -> None:
+def test_arrays_of_messages_are_unpacked_no_further_than_their_shape(shape):
     bomb = zlib.compress(bytes(50_000_000), 9)
     head = ArrayHead(dtype="u1", shape=shape, start=0, bytes=len(bomb), coding="deflate")
     tracemalloc.start()
@@ -123,18 +123,18 @@ def test_arrays_of_messages_are_unpacked_no_further_than_their_shape(shape: tupl
     assert peak < 5_000_000  # the shape's bytes, the bomb itself, and a piece of zlib's
 
 
-def test_only_regular_files_are_read() -> None:
+def test_only_regular_files_are_read():
     with refusal("no regular file"):
         content(Path("/dev/zero"))
 
 
-def test_long_input_is_cut_short_in_messages() -> None:
+def test_long_input_is_cut_short_in_messages():
     message = str(LuxloopError(f"{'a' * 5000}: unknown key; {'known ' * 500}are all"))
     assert len(message) <= 1000 and message.startswith("aaaa") and message.endswith("are all")
     assert max(map(len, message.split())) <= 200
 
 
-def test_a_column_whose_statistics_are_not_those_of_its_type_is_refused(tmp_path: Path) -> None:
+def test_a_column_whose_statistics_are_not_those_of_its_type_is_refused(tmp_path):
     file = tmp_path / "a.parquet"
     pq.write_table(pa.table({"step": [0, 1], "x": [0.5, 1.0]}), file)
     optional, required = b"\x25\x02\x18\x01x", b"\x25\x00\x18\x01x"  # repetition type and name in the schema
@@ -144,7 +144,7 @@ def test_a_column_whose_statistics_are_not_those_of_its_type_is_refused(tmp_path
         read_parquet(file)
 
 
-def test_a_table_of_many_rows_is_read_whole(tmp_path: Path) -> None:
+def test_a_table_of_many_rows_is_read_whole(tmp_path):
     n = 2 * ROWS + 3
     table = pa.table({"step": range(n), "loss": [("", "late", "lost")[k % 3] for k in range(n)]})
     pq.write_table(table, tmp_path / "a.parquet", row_group_size=ROWS - 1)

@@ -16,13 +16,13 @@ metre = st.floats(-1000, 1000)
 
 
 @given(angle, angle, angle)
-def test_rotation_is_yaw_after_pitch_after_roll(roll: float, pitch: float, yaw: float) -> None:
+def test_rotation_is_yaw_after_pitch_after_roll(roll, pitch, yaw):
     R = rotation(*torch.tensor([roll, pitch, yaw], dtype=torch.float64))
     np.testing.assert_allclose(R, Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix(), atol=1e-14)
 
 
 @given(st.tuples(metre, metre, metre), st.tuples(angle, angle, angle))
-def test_inverse_undoes_a_pose(position: tuple[float, float, float], angles: tuple[float, float, float]) -> None:
+def test_inverse_undoes_a_pose(position, angles):
     T = pose(torch.tensor(position, dtype=torch.float64), rotation(*torch.tensor(angles, dtype=torch.float64)))
     torch.testing.assert_close(inverse(T) @ T, torch.eye(4, dtype=torch.float64), rtol=0, atol=1e-12)
     points = torch.tensor([[1.0, -2.0], [3.0, 0.5], [0.0, 7.0]], dtype=torch.float64)
@@ -39,7 +39,7 @@ def view(T_world_mount: torch.Tensor | None = None) -> View:
 
 
 @given(st.tuples(*[st.floats(-100, 100)] * 3), st.tuples(*[st.floats(-180, 180)] * 3), st.floats(0.1, 1000))
-def test_rays_project_onto_their_pixel_centres(position: tuple, angles: tuple, depth_m: float) -> None:
+def test_rays_project_onto_their_pixel_centres(position, angles, depth_m):
     v = view(pose_from_degrees(position, *angles))
     uv, depth = v.project(v.origin[:, None] + depth_m * v.rays().flatten(1))
     # 100 m of offset at 0.1 m of depth cost three digits of float64.

@@ -3,7 +3,6 @@
 import copy
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 from pydantic import Field
@@ -85,7 +84,7 @@ def parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("own_parts:Part", {}, ["no method rest", "work, rest"]),
     ],
 )
-def test_what_is_wrong_is_said_in_a_sentence(name: str, options: dict[str, Any], words: list[str]) -> None:
+def test_what_is_wrong_is_said_in_a_sentence(name, options, words):
     with pytest.raises(LuxloopError) as error:
         plugin.make(plugin.Name(name), "road.kind", {"place": 3}, options, ("work", "rest") if name.endswith(":Part") else ("work",))
     message = str(error.value)
@@ -117,7 +116,7 @@ def test_what_is_wrong_is_said_in_a_sentence(name: str, options: dict[str, Any],
         (f"{__name__}:Checked", {"Share": 1}, f"road.options.Share: {__name__}:Checked has no option of this name; did you mean 'share'?"),
     ],
 )
-def test_a_wrong_option_is_named_by_its_key(name: str, options: dict[str, Any], message: str) -> None:
+def test_a_wrong_option_is_named_by_its_key(name, options, message):
     given = {} if name.endswith("Checked") else {"place": 3}
     with pytest.raises(LuxloopError) as error:
         plugin.make(plugin.Name(name), "road.kind", given, options, ("work",))
@@ -125,17 +124,17 @@ def test_a_wrong_option_is_named_by_its_key(name: str, options: dict[str, Any], 
 
 
 @pytest.mark.usefixtures("parts")
-def test_what_takes_any_option_gets_them_all() -> None:
+def test_what_takes_any_option_gets_them_all():
     assert plugin.make(plugin.Name("own_parts:Any"), "road.kind", {"place": 3}, {"c": 4}, ("work",)).a == 4
 
 
-def test_options_that_a_model_refuses_are_told_in_one_line() -> None:
+def test_options_that_a_model_refuses_are_told_in_one_line():
     with refusal(r"road\.options fails \(share: Input should be greater than 0\)$"):
         plugin.make(plugin.Name(f"{__name__}:Checked"), "road.kind", {}, {"share": -1}, ())
 
 
 @pytest.mark.usefixtures("parts")
-def test_a_method_that_fails_is_said_as_init_is() -> None:
+def test_a_method_that_fails_is_said_as_init_is():
     made = plugin.make(plugin.Name("own_parts:Failing"), "road.kind", {"place": 3}, {}, ("work",))
     with refusal(r"^road\.kind: own_parts:Failing: work fails at .*own_parts\.py, line 29 \(RuntimeError: "):
         made.work()
@@ -146,7 +145,7 @@ def test_a_method_that_fails_is_said_as_init_is() -> None:
     assert copy.copy(made).a == 3
 
 
-def test_a_folder_goes_to_the_end_of_the_path_and_hides_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_goes_to_the_end_of_the_path_and_hides_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", [*sys.path])
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()

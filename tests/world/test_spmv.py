@@ -22,7 +22,7 @@ def close(actual: torch.Tensor, expected: np.ndarray) -> None:
 
 
 @given(matrices, st.data())
-def test_products_are_those_of_scipy(matrix: sp.csr_array, data: st.DataObject) -> None:
+def test_products_are_those_of_scipy(matrix, data):
     csr = Csr.from_scipy(matrix, torch.float64)
     x = torch.linspace(0, 1, 2 * 3 * matrix.shape[1], dtype=torch.float64).view(2, 3, -1)
     expected = x.numpy() @ matrix.T.toarray()
@@ -37,20 +37,20 @@ def test_products_are_those_of_scipy(matrix: sp.csr_array, data: st.DataObject) 
 
 
 @given(matrices, st.data())
-def test_a_part_has_the_chosen_rows_and_columns(matrix: sp.csr_array, data: st.DataObject) -> None:
+def test_a_part_has_the_chosen_rows_and_columns(matrix, data):
     rows, columns = (sorted(data.draw(st.sets(st.integers(0, n - 1), max_size=n))) if n else [] for n in matrix.shape)
     part = Csr.from_scipy(matrix, torch.float64).part(*(torch.tensor(chosen, dtype=torch.int64) for chosen in (rows, columns)))
     assert (part.n_rows, part.n_cols) == (len(rows), len(columns))
     close(torch.from_numpy(part.to_scipy().toarray()), matrix.toarray()[np.ix_(rows, columns)])
 
 
-def test_duplicates_are_summed() -> None:
+def test_duplicates_are_summed():
     matrix = sp.csr_matrix(([1.0, 2.0], [0, 0], [0, 2]), shape=(1, 1))
     assert Csr.from_scipy(matrix).values.tolist() == [3.0]
 
 
 @pytest.mark.parametrize("batch", [(), (3,)])
-def test_gradient_is_the_transpose(batch: tuple[int, ...]) -> None:
+def test_gradient_is_the_transpose(batch):
     csr = Csr.from_scipy(random_matrix(1, 7, 5, 0.4), torch.float64)
     x = torch.rand(*batch, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(1), requires_grad=True)
     assert torch.autograd.gradcheck(lambda x: multiply(csr, x), (x,))
@@ -58,7 +58,7 @@ def test_gradient_is_the_transpose(batch: tuple[int, ...]) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="large pages are asked for on Linux")
-def test_large_arrays_lie_in_large_pages() -> None:
+def test_large_arrays_lie_in_large_pages():
     pages = Path("/sys/kernel/mm/transparent_hugepage/enabled")
     if not pages.exists() or "[never]" in pages.read_text():
         pytest.skip("this system gives none")
@@ -83,7 +83,7 @@ def problem(seed: int, m: int = 60, n: int = 25, signed: bool = False) -> tuple[
 
 @settings(max_examples=20)
 @given(seed=st.integers(0, 10_000), signed=st.booleans(), highest=st.sampled_from([0.4, 1.0]))
-def test_the_optimum_is_scipys(seed: int, signed: bool, highest: float) -> None:
+def test_the_optimum_is_scipys(seed, signed, highest):
     A, b, w = problem(seed, signed=signed)
     n = A.shape[1]
     expected = lsq_linear((sp.diags_array(w) @ A).toarray(), w * b, (0, highest), tol=1e-14).x
@@ -101,7 +101,7 @@ def test_the_optimum_is_scipys(seed: int, signed: bool, highest: float) -> None:
     assert cost <= best * (1 + 1e-9) + 1e-12
 
 
-def test_values_between_bounds_cost_nothing_and_bounds_hold_where_they_can() -> None:
+def test_values_between_bounds_cost_nothing_and_bounds_hold_where_they_can():
     matrix = Csr.from_scipy(sp.csr_array(np.array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]])), torch.float64)
     inf = float("inf")
     low = torch.tensor([0.2, 0.5, -inf], dtype=torch.float64)

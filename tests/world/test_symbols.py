@@ -37,7 +37,7 @@ def write(folder: Path, image: np.ndarray, name: str = "functions.symbol.png") -
     return path
 
 
-def test_pictures_become_grey_in_0_to_1(tmp_path: Path) -> None:
+def test_pictures_become_grey_in_0_to_1(tmp_path):
     def loaded(image: np.ndarray) -> torch.Tensor:
         symbol = load_still(write(tmp_path, image))
         assert (symbol.dtype, symbol.shape) == (torch.float32, (2, 2))
@@ -53,13 +53,13 @@ def test_pictures_become_grey_in_0_to_1(tmp_path: Path) -> None:
     assert loaded(np.full((2, 2), 51, np.uint8)).max().item() == pytest.approx(0.2)  # a dim picture stays dim
 
 
-def test_what_moves_is_no_symbol_under_control(tmp_path: Path) -> None:
+def test_what_moves_is_no_symbol_under_control(tmp_path):
     for path in (tmp_path, tmp_path / "a.mp4"):
         with refusal("moves, but a symbol under control stands still: give a picture or an SVG"):
             load_still(path)
 
 
-def test_an_svg_is_drawn_where_its_shapes_are(tmp_path: Path) -> None:
+def test_an_svg_is_drawn_where_its_shapes_are(tmp_path):
     (tmp_path / "a.SVG").write_text(SVG.format("white"))
     image = load(tmp_path / "a.SVG").at(0)
     assert image.shape == (DRAWN_PX // 2, DRAWN_PX)
@@ -68,7 +68,7 @@ def test_an_svg_is_drawn_where_its_shapes_are(tmp_path: Path) -> None:
     assert_close(image, expected)
 
 
-def test_a_folder_is_a_sequence_in_the_order_of_names(tmp_path: Path) -> None:
+def test_a_folder_is_a_sequence_in_the_order_of_names(tmp_path):
     for i in (2, 0, 1):
         cv2.imwrite(str(tmp_path / f"{i}.png"), np.full((2, 3), 100 * i, np.uint8))
     held, repeated = load(tmp_path, rate_hz=10, repeat=False), load(tmp_path, rate_hz=10)
@@ -77,7 +77,7 @@ def test_a_folder_is_a_sequence_in_the_order_of_names(tmp_path: Path) -> None:
     assert round(255 * float(repeated.at(0.4)[0, 0])) == 100
 
 
-def test_a_video_plays_at_its_own_rate(tmp_path: Path) -> None:
+def test_a_video_plays_at_its_own_rate(tmp_path):
     write_video(tmp_path / "a.mp4", [np.full((32, 48), v, np.uint8) for v in (0, 128, 255)])
     symbol = load(tmp_path / "a.mp4", repeat=False)
     assert isinstance(symbol, Frames) and symbol.rate_hz == 10
@@ -101,14 +101,14 @@ def test_a_video_plays_at_its_own_rate(tmp_path: Path) -> None:
         ("a.txt", b"hello", "cannot be read as a picture"),
     ],
 )
-def test_bad_files_are_named_in_one_sentence(tmp_path: Path, name: str, content: bytes, says: str) -> None:
+def test_bad_files_are_named_in_one_sentence(tmp_path, name, content, says):
     (tmp_path / name).write_bytes(content)
     with refusal(says) as error:
         load(tmp_path / name)
     assert name in str(error.value) and "\n" not in str(error.value)
 
 
-def test_missing_files_and_bad_folders(tmp_path: Path) -> None:
+def test_missing_files_and_bad_folders(tmp_path):
     with refusal("cannot be read as a picture of 8 or 16 bits"):
         load(write(tmp_path, np.ones((2, 2), np.float32), "float.tiff"))
     (tmp_path / "float.tiff").unlink()
@@ -141,7 +141,7 @@ RECTANGLE = '<rect id="r" x="10" width="20" height="10" fill="white"/>'
         ("<g>" * 3000 + "</g>" * 3000, "nested deeper"),
     ],
 )
-def test_an_svg_stands_for_itself(extra: str, words: str, tmp_path: Path) -> None:
+def test_an_svg_stands_for_itself(extra, words, tmp_path):
     file = tmp_path / "a.svg"
     file.write_text(INSIDE.format(RECTANGLE, extra))
     with refusal(words):
@@ -156,7 +156,7 @@ def test_an_svg_stands_for_itself(extra: str, words: str, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("unit", "px"), [("mm", 96 / 25.4), ("cm", 96 / 2.54), ("in", 96), ("pt", 96 / 72), ("pc", 16), ("px", 1), ("", 1)]
 )
-def test_units_of_an_svg_are_those_of_css(unit: str, px: float, tmp_path: Path) -> None:
+def test_units_of_an_svg_are_those_of_css(unit, px, tmp_path):
     """CSS Values and Units 4, 6.2: 96 px an inch, of the page and of parts within a drawing's own coordinates."""
     side = 200 / px  # in the unit
     page = f'width="{side}{unit}" height="{side / 2}{unit}" viewBox="0 0 400 200"'
@@ -169,7 +169,7 @@ def test_units_of_an_svg_are_those_of_css(unit: str, px: float, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("kind", ["jpeg", "png", "webp", "tiff", "avif"])
-def test_pictures_are_upright_by_their_exif_orientation(kind: str, tmp_path: Path) -> None:
+def test_pictures_are_upright_by_their_exif_orientation(kind, tmp_path):
     picture = np.zeros((40, 64), np.uint8)
     picture[8:32, 8:16] = picture[24:32, 8:56] = 255
     file = tmp_path / f"a.{kind}"
@@ -184,7 +184,7 @@ def test_pictures_are_upright_by_their_exif_orientation(kind: str, tmp_path: Pat
             assert np.abs(read.reshape(*upright.shape, -1)[..., 0].astype(int) - upright).max() < 16  # JPEG is lossy
 
 
-def test_half_a_jpeg_a_pipe_and_utf_16_are_refused(tmp_path: Path) -> None:
+def test_half_a_jpeg_a_pipe_and_utf_16_are_refused(tmp_path):
     data = write(tmp_path, np.random.default_rng(0).integers(0, 255, (64, 64), np.uint8), "a.jpg").read_bytes()
     (tmp_path / "half.jpg").write_bytes(data[: len(data) // 2] + b"\xff\xd9")
     os.mkfifo(tmp_path / "pipe.png")
@@ -200,7 +200,7 @@ def test_half_a_jpeg_a_pipe_and_utf_16_are_refused(tmp_path: Path) -> None:
             load(tmp_path / name)
 
 
-def test_a_video_is_turned_as_its_matrix_says(tmp_path: Path) -> None:
+def test_a_video_is_turned_as_its_matrix_says(tmp_path):
     picture = np.zeros((32, 64), np.uint8)
     picture[:16, :16] = 255
     file = tmp_path / "a.mp4"
@@ -212,7 +212,7 @@ def test_a_video_is_turned_as_its_matrix_says(tmp_path: Path) -> None:
     np.testing.assert_allclose(load(file).at(0) * 255, np.rot90(picture, -1), atol=4)  # H.264 is lossy
 
 
-def test_an_svgz_is_unpacked_no_further_than_it_may_be_long(tmp_path: Path) -> None:
+def test_an_svgz_is_unpacked_no_further_than_it_may_be_long(tmp_path):
     (tmp_path / "a.svgz").write_bytes(gzip.compress(bytes(4 * LONGEST), mtime=0))
     tracemalloc.start()
     with refusal(r"a\.svgz .*longer than"):
@@ -222,7 +222,7 @@ def test_an_svgz_is_unpacked_no_further_than_it_may_be_long(tmp_path: Path) -> N
     assert peak < 3 * LONGEST  # the text, and the pieces that it is joined from
 
 
-def test_a_picture_with_damaged_exif_stays_as_it_is(tmp_path: Path) -> None:
+def test_a_picture_with_damaged_exif_stays_as_it_is(tmp_path):
     file = write(tmp_path, np.full((2, 3), 255, np.uint8), "a.jpg")
     data = file.read_bytes()
     exif = b"Exif\0\0MM\0*\xff\xff\xff\xff"

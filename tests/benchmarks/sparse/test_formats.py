@@ -30,7 +30,7 @@ def matrix(dense: np.ndarray) -> Csr:
 @each_format
 @settings(deadline=None, max_examples=25)
 @given(matrices)
-def test_products_are_those_of_the_dense_matrix(name: str, sparse: sp.csr_array) -> None:
+def test_products_are_those_of_the_dense_matrix(name, sparse):
     form = build(Csr.from_scipy(sparse, torch.float64), name)
     x = torch.linspace(0.1, 1, sparse.shape[1], dtype=torch.float64)
     expected, garbage, out = sparse.toarray() @ x.numpy(), *torch.full((2, form.n_rows), torch.nan, dtype=torch.float64)
@@ -57,7 +57,7 @@ def test_products_are_those_of_the_dense_matrix(name: str, sparse: sp.csr_array)
         ("tiles64", Storage(4 + 3, 4, 64 * 4)),
     ],
 )
-def test_storage_is_what_the_thesis_says(name: str, storage: Storage) -> None:
+def test_storage_is_what_the_thesis_says(name, storage):
     assert FORMATS[name].count(matrix(BY_HAND)) == storage
     assert build(matrix(BY_HAND), name).storage == storage
     assert storage.bytes(torch.float64) == 4 * (storage.row_indices + storage.column_indices) + 8 * storage.values
@@ -65,7 +65,7 @@ def test_storage_is_what_the_thesis_says(name: str, storage: Storage) -> None:
 
 @settings(deadline=None, max_examples=50)
 @given(matrices, heights)
-def test_slices_and_parts_of_any_height(sparse: sp.csr_array, height: int) -> None:
+def test_slices_and_parts_of_any_height(sparse, height):
     csr = Csr.from_scipy(sparse, torch.float64)
     x = torch.linspace(0.1, 1, csr.n_cols, dtype=torch.float64)
     sell = type("OfHeight", (Sell,), {"height": height})(csr)
@@ -82,7 +82,7 @@ def test_slices_and_parts_of_any_height(sparse: sp.csr_array, height: int) -> No
 
 
 @each_format
-def test_float32_on_every_device(name: str, device: torch.device) -> None:
+def test_float32_on_every_device(name, device):
     if name == "scipy" and device.type != "cpu":
         pytest.skip("SciPy multiplies on the CPU")
     sparse, x = random_matrix(2, 200, 100, 0.1), torch.linspace(0, 1, 100, device=device)
@@ -94,12 +94,12 @@ def test_float32_on_every_device(name: str, device: torch.device) -> None:
 
 @each_format
 @pytest.mark.parametrize("shape", [(3, 2), (0, 3), (3, 0)])
-def test_matrices_without_entries(name: str, shape: tuple[int, int]) -> None:
+def test_matrices_without_entries(name, shape):
     garbage = torch.full(shape[:1], torch.nan, dtype=torch.float64)
     assert build(matrix(np.zeros(shape)), name).multiply(torch.ones(shape[1]).double(), out=garbage).tolist() == [0] * shape[0]
 
 
-def test_padding_without_end_is_no_candidate() -> None:
+def test_padding_without_end_is_no_candidate():
     long_row = np.zeros((1000, 500))
     long_row[:, 0] = 1
     assert "ell" in candidates(Csr.from_scipy(sp.csr_matrix(long_row)))
@@ -113,7 +113,7 @@ def test_padding_without_end_is_no_candidate() -> None:
 
 @settings(deadline=None, max_examples=50)
 @given(matrices, changes)
-def test_updates_of_changed_pixels_are_exact(sparse: sp.csr_array, steps: list[tuple[int, int, int]]) -> None:
+def test_updates_of_changed_pixels_are_exact(sparse, steps):
     csr = Csr.from_scipy(sparse, torch.float64)
     x = torch.linspace(0, 1, csr.n_cols, dtype=torch.float64)
     bands, changed, out = Bands(csr), ChangedPixels(csr, x), multiply(csr, x)
@@ -132,7 +132,7 @@ def test_updates_of_changed_pixels_are_exact(sparse: sp.csr_array, steps: list[t
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="CUDA graphs need CUDA")
 @pytest.mark.parametrize("name", sorted(FORMATS.keys() - {"scipy"}))
-def test_captured_products_are_those_of_the_dense_matrix(name: str) -> None:
+def test_captured_products_are_those_of_the_dense_matrix(name):
     sparse = random_matrix(2, 200, 100, 0.1)
     form, x = build(Csr.from_scipy(sparse).to(torch.device("cuda")), name), torch.rand(100, device="cuda")
     out = form.multiply(x)

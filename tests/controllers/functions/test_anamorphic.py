@@ -25,7 +25,7 @@ def flying() -> tuple[torch.Tensor, ...]:
     return origin, *torch.tensor([[0.0, -1.6, 0.0], [0.0, 0.0, -0.6]], dtype=torch.float64), torch.tensor([-1.0, 0.3, 1.3]).double()
 
 
-def test_the_rectangle_holds_what_is_seen_and_is_no_larger_than_any_other() -> None:
+def test_the_rectangle_holds_what_is_seen_and_is_no_larger_than_any_other():
     origin, d1, d2, eye = flying()
     p, a, b = drawing_rectangle(origin, d1, d2, eye, torch.zeros(3).double(), UP)
     assert torch.linalg.cross(a, b)[2] > 0 and p[2] == a[2] == b[2] == 0
@@ -41,7 +41,7 @@ def test_the_rectangle_holds_what_is_seen_and_is_no_larger_than_any_other() -> N
         assert area <= (turned.amax(0) - turned.amin(0)).prod() + 1e-9
 
 
-def test_what_is_above_the_horizon_cannot_be_drawn() -> None:
+def test_what_is_above_the_horizon_cannot_be_drawn():
     origin, d1, d2, eye = flying()
     above = drawing_rectangle(origin + 2 * UP, d1, d2, eye, torch.zeros(3).double(), UP)
     assert torch.isnan(torch.stack(above)).any()
@@ -61,7 +61,7 @@ def ssc() -> Ssc:
 
 
 @pytest.mark.parametrize("who", OBSERVERS)
-def test_the_observer_sees_what_he_shall_see(who: str, ssc: Ssc) -> None:
+def test_the_observer_sees_what_he_shall_see(who, ssc):
     """IoU of what is lit more than half as bright as the lamp can, with the wanted image, in a camera that looks through the picture."""
     eye_m, centre_m, width_m, height_m = OBSERVERS[who]
     image, light, T = load_still(SYMBOLS / "chevrons.png"), ssc.headlight, pose_from_degrees((0.0, 0.6, 0.75))

@@ -18,7 +18,7 @@ def curve(degree: int, seed: int) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3, 5, 8])
-def test_points_and_derivatives_equal_scipy(degree: int) -> None:
+def test_points_and_derivatives_equal_scipy(degree):
     control = curve(degree, degree)
     oracle = BPoly(control.numpy()[:, None, :], [0, 1])
     np.testing.assert_allclose(point(control, T), oracle(T.numpy()), atol=1e-12)
@@ -26,7 +26,7 @@ def test_points_and_derivatives_equal_scipy(degree: int) -> None:
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 6])
-def test_arc_length_equals_quadrature(degree: int) -> None:
+def test_arc_length_equals_quadrature(degree):
     control = curve(degree, degree + 10)
     slope = BPoly(control.numpy()[:, None, :], [0, 1]).derivative()
     expected = [quad(lambda t: np.linalg.norm(slope(t)), 0, t, limit=200)[0] for t in T.numpy()]
@@ -35,7 +35,7 @@ def test_arc_length_equals_quadrature(degree: int) -> None:
 
 @settings(max_examples=25)
 @given(degree=st.integers(1, 6), seed=st.integers(0, 1000))
-def test_no_point_of_the_curve_is_closer(degree: int, seed: int) -> None:
+def test_no_point_of_the_curve_is_closer(degree, seed):
     control = curve(degree, seed)
     points = torch.from_numpy(np.random.default_rng(seed + 1).normal(size=(40, 2)) * 8)
     t, distance = closest(control, points)
@@ -46,7 +46,7 @@ def test_no_point_of_the_curve_is_closer(degree: int, seed: int) -> None:
     assert (distance <= dense + 1e-3 + 1e-3 * dense).all()
 
 
-def test_batches_and_devices(device: torch.device) -> None:
+def test_batches_and_devices(device):
     controls = torch.stack([curve(3, s) for s in range(4)]).float().to(device)
     points = torch.randn(4, 9, 2, device=device)
     t, distance = closest(controls, points)
@@ -56,7 +56,7 @@ def test_batches_and_devices(device: torch.device) -> None:
     assert length_at(controls, t).shape == (4, 9)
 
 
-def test_a_curve_that_is_a_point_has_no_length() -> None:
+def test_a_curve_that_is_a_point_has_no_length():
     control = torch.tensor([[1.0, 2.0]] * 4)
     t, distance = closest(control, torch.tensor([[4.0, 6.0]]))
     assert distance.item() == 5 and not length_at(control, t).any()

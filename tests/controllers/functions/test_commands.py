@@ -43,7 +43,7 @@ def commands(given: Any, *modules: Part) -> tuple[ModuleCommand, ...]:
     return compose(given.values(), modules or BOTH)
 
 
-def test_bending_swivels_to_where_the_course_is_met_and_leaves_what_cannot() -> None:
+def test_bending_swivels_to_where_the_course_is_met_and_leaves_what_cannot():
     for sign in (1, -1):
         given = planner(bend={"kind": "bending"}).command({}, now(speed_m_s=10.0, curvature_1_m=0.02 * sign), BOTH)
         free, fixed = commands(given)
@@ -52,7 +52,7 @@ def test_bending_swivels_to_where_the_course_is_met_and_leaves_what_cannot() -> 
     assert far.swivel_deg == 5.0
 
 
-def test_motors_are_no_faster_than_they_can_by_the_clock_of_the_situation() -> None:
+def test_motors_are_no_faster_than_they_can_by_the_clock_of_the_situation():
     """What begins is there; then it turns by its rate, however long a step takes, and goes back to rest as fast."""
     bend = planner(bend={"kind": "bending", "rate_deg_s": 10.0, "stop_s": 3.0})
     turned, given = [], {}
@@ -63,7 +63,7 @@ def test_motors_are_no_faster_than_they_can_by_the_clock_of_the_situation() -> N
     assert commands(bend.command({}, now(1.0, **CURVE), BOTH), FREE)[0].swivel_deg == pytest.approx(IN_CURVE_DEG)
 
 
-def test_a_motor_at_the_end_of_its_range_turns_back_at_once() -> None:
+def test_a_motor_at_the_end_of_its_range_turns_back_at_once():
     """The right curve wants 11.5 deg of modules that end at 7 and 3; they leave their ends in the step in which the left one begins."""
     narrow = Part("left free narrow", (-3.0, 3.0))
     bend, given, turned = planner(bend={"kind": "bending", "rate_deg_s": 10.0}), {}, []
@@ -73,7 +73,7 @@ def test_a_motor_at_the_end_of_its_range_turns_back_at_once() -> None:
     assert turned == [pytest.approx(each) for each in ([-7.0, -3.0], [-7.0, -3.0], [-6.0, -2.0], [-5.0, -1.0])]
 
 
-def test_levelling_and_dimming_follow_the_pitch_and_entries_over_time() -> None:
+def test_levelling_and_dimming_follow_the_pitch_and_entries_over_time():
     dim = planner(dim={"kind": "dimming", "entries": [{"time_s": 1.0, "share": 1.0}, {"time_s": 2.0, "share": 0.5}], "stop_s": 5.0})
     shares = [commands(dim.command({}, now(time_s), BOTH), FIXED)[0].intensity for time_s in (0.0, 1.5, 3.0, 5.0)]
     assert shares == pytest.approx([1.0, 0.75, 0.5, 1.0])
@@ -89,7 +89,7 @@ def test_levelling_and_dimming_follow_the_pitch_and_entries_over_time() -> None:
         assert free.level_deg == pytest.approx(expected) and fixed == ModuleCommand()
 
 
-def test_turns_add_up_within_the_range_and_intensities_multiply() -> None:
+def test_turns_add_up_within_the_range_and_intensities_multiply():
     given = {
         "a": FunctionCommands(0.0, tuple((part.name, ModuleCommand(10.0, -0.75, 0.5)) for part in BOTH)),
         "b": FunctionCommands(0.0, ((FREE.name, ModuleCommand(8.0, -0.5, 0.5)), (FIXED.name, ModuleCommand(1.0, 1.0, 0.8)))),
@@ -110,6 +110,6 @@ def test_turns_add_up_within_the_range_and_intensities_multiply() -> None:
         ({"kind": "bending", "value": 1.0}, "value"),
     ],
 )
-def test_bad_tables_are_refused(given: dict[str, Any], words: str) -> None:
+def test_bad_tables_are_refused(given, words):
     with pytest.raises(ValidationError, match=words):
         planner(own=given)

@@ -17,10 +17,9 @@ from luxloop.controllers.functions.planner import LightingParams, Planner
 from luxloop.controllers.functions.symbol import PrimitiveParams, SymbolFunctionParams
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.ssc import Ssc
-from luxloop.controllers.situation import DrawingParams, Situation, TrackedObject, fade
+from luxloop.controllers.situation import Situation, TrackedObject, fade
 from luxloop.world.frames import pose_from_degrees, transform
 from luxloop.world.lamps.presets import idealised
-from luxloop.world.params import Params
 from luxloop.world.scene.body import Body, PoseTrack
 from luxloop.world.symbols import Still
 from tests.controllers.situations import HERE, LAMPS
@@ -45,13 +44,13 @@ def extent(p: Primitives) -> tuple[Tensor, Tensor]:
     return corners.amin(0), corners.amax(0)
 
 
-def test_fades_keep_their_ends() -> None:
+def test_fades_keep_their_ends():
     assert [fade(t, 0, math.inf, 1, 1) for t in (-1, 0, 0.5, 1, 5)] == [0, 0, 0.5, 1, 1]
     assert fade(0.2, 0, math.inf, 1, 1) + fade(0.8, 0, math.inf, 1, 1) == pytest.approx(1)
     assert [fade(t, -math.inf, 2, 0, 0) for t in (0, 1.9, 2)] == [1, 1, 0]
 
 
-def test_a_marker_leads_to_the_object_and_ends_before_it() -> None:
+def test_a_marker_leads_to_the_object_and_ends_before_it():
     (line,) = MarkerParams(near_m=8, gap_m=0.5, width_m=0.3).primitives(now(PERSON))
     assert_close(line.normal[0], UP)
     far = line.origin[0] + line.d1[0] / 2
@@ -72,7 +71,7 @@ def test_a_marker_leads_to_the_object_and_ends_before_it() -> None:
 @pytest.mark.parametrize(
     ("kind", "given"), [(MarkerParams, {"target": "body"}), (MarkerParams, {"surround_m": 0.5}), (SymbolFunctionParams, {"image": "a"})]
 )
-def test_while_what_blinks_is_off_it_does_not_darken_the_beam(kind: type[DrawingParams], given: dict[str, object]) -> None:
+def test_while_what_blinks_is_off_it_does_not_darken_the_beam(kind, given):
     blinking = kind(animation={"kind": "blinking", "rate_hz": 1.0}, **given)
     still = kind(**given)
     assert len(blinking.primitives(now(PERSON, time_s=2.4))) == len(still.primitives(now(PERSON, time_s=2.6))) > 0
@@ -80,7 +79,7 @@ def test_while_what_blinks_is_off_it_does_not_darken_the_beam(kind: type[Drawing
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 180.0, 160.0])
-def test_a_sign_is_dimmed_in_its_face_that_looks_at_the_car(yaw_deg: float) -> None:
+def test_a_sign_is_dimmed_in_its_face_that_looks_at_the_car(yaw_deg):
     sign = TrackedObject("stop", "sign", pose_from_degrees((30, -4, 2.0), yaw_deg=yaw_deg), (0.05, 0.8, 0.8))
     (face,) = SignParams(margin_m=0.1).primitives(now(sign))
     assert face.forced.all() and face.normal[0, 0] < -0.9
@@ -88,7 +87,7 @@ def test_a_sign_is_dimmed_in_its_face_that_looks_at_the_car(yaw_deg: float) -> N
     assert not SignParams().primitives(now(PERSON))
 
 
-def test_functions_move_with_the_car() -> None:
+def test_functions_move_with_the_car():
     T = pose_from_degrees((100, 50, 2), yaw_deg=90)
     turned = PrimitiveParams(x_m=30, z_m=2, roll_deg=20, pitch_deg=-50, yaw_deg=10)
     for function in (SymbolFunctionParams(image="a"), PathParams(control_m=((5, 0), (10, 0))), LaneParams(), WidthParams(), turned):
@@ -98,14 +97,14 @@ def test_functions_move_with_the_car() -> None:
             assert_close(-torch.nn.functional.normalize(torch.linalg.cross(here.d1[0], here.d2[0]), dim=0), here.normal[0])
 
 
-def test_a_symbol_lies_where_it_shall_with_its_far_end_first() -> None:
+def test_a_symbol_lies_where_it_shall_with_its_far_end_first():
     (p,) = SymbolFunctionParams(image="a", x_m=20, y_m=1, width_m=2, length_m=6).primitives(now())
     assert_close(p.origin[0], torch.tensor([23.0, 2.0, 0.0]).double())
     assert_close(torch.stack([p.d1[0], p.d2[0]]), torch.tensor([[0.0, -2.0, 0], [-6.0, 0, 0]]).double())
     assert_close(p.normal[0], UP)
 
 
-def test_conditions_exchange_symbols_as_an_object_comes_near() -> None:
+def test_conditions_exchange_symbols_as_an_object_comes_near():
     """The example of T fig. 7.10."""
     near = {"nearer_than_m": 25.0}
     snow, arrow = SymbolFunctionParams(image="a", unless=near), SymbolFunctionParams(image="a", when=near)
@@ -118,7 +117,7 @@ def test_conditions_exchange_symbols_as_an_object_comes_near() -> None:
 
 
 @pytest.mark.parametrize("value", [0.2, 5.0])
-def test_black_leaves_the_base_beam_where_it_is_changed_relatively(value: float) -> None:
+def test_black_leaves_the_base_beam_where_it_is_changed_relatively(value):
     ramp = torch.linspace(0, 1, 5).view(1, 5)
     situation = replace(now(), symbols={"a": Still(ramp)})
     (p,) = SymbolFunctionParams(image="a", quantity="u_rel", value=value).primitives(situation)
@@ -126,7 +125,7 @@ def test_black_leaves_the_base_beam_where_it_is_changed_relatively(value: float)
     assert p.symbols[0].max() <= 1
 
 
-def test_an_observer_gets_a_rectangle_of_his_own() -> None:
+def test_an_observer_gets_a_rectangle_of_his_own():
     (p,) = SymbolFunctionParams(image="a", observer={"name": "anna"}).primitives(now(PERSON))
     assert p.observer is not None and p.observer.active.all()
     assert_close(p.observer.eye[0], torch.tensor([20.0, 3.0, 1.5]).double())
@@ -139,7 +138,7 @@ def test_an_observer_gets_a_rectangle_of_his_own() -> None:
 CURVE = torch.tensor([[5.0, 0.0], [12.0, 0.0], [16.0, 2.0], [18.0, 6.0]], dtype=torch.float64)
 
 
-def test_a_path_is_as_large_as_its_band() -> None:
+def test_a_path_is_as_large_as_its_band():
     drawing = Drawing(CURVE, 0.5, 0.02)
     image = drawing.band(0.5)
     length = length_at(CURVE, torch.ones(1).double()).item()
@@ -147,7 +146,7 @@ def test_a_path_is_as_large_as_its_band() -> None:
     assert not image[0].any() and not image[-1].any() and not image[:, 0].any() and not image[:, -1].any()
 
 
-def test_a_path_lies_on_the_road_where_its_points_say() -> None:
+def test_a_path_lies_on_the_road_where_its_points_say():
     (p,) = PathParams(control_m=((10, 2), (20, 2)), width_m=1.0, texel_m=0.05).primitives(now())
     image = p.symbols[0].prod(0)  # light where it is opaque
     rows = len(image)
@@ -159,7 +158,7 @@ def test_a_path_lies_on_the_road_where_its_points_say() -> None:
 
 
 @pytest.mark.parametrize("image", [None, "a"])
-def test_a_path_leaves_the_base_beam_beside_it(image: str | None) -> None:
+def test_a_path_leaves_the_base_beam_beside_it(image):
     """An even beam of 0.6: in the bend's rectangle it is taken away in the band only."""
     light = idealised(40, 120)
     ssc = Ssc.prepare(light, default=torch.full((light.n_pixels,), 0.6))
@@ -172,7 +171,7 @@ def test_a_path_leaves_the_base_beam_beside_it(image: str | None) -> None:
     assert 0 < taken < 0.4 * all_taken  # of 3.5 m
 
 
-def test_chevrons_are_bent_along_the_path_and_run() -> None:
+def test_chevrons_are_bent_along_the_path_and_run():
     """On a straight path a bent image is the image; moved by a pitch it looks the same."""
     line = torch.tensor([[0.0, 0.0], [8.0, 0.0]], dtype=torch.float64)
     drawing = Drawing(line, 1.0, 0.05)
@@ -188,7 +187,7 @@ def test_chevrons_are_bent_along_the_path_and_run() -> None:
 
 
 @pytest.mark.parametrize("curvature", [0.02, -0.03, 0.125])
-def test_a_bent_lane_follows_the_circle(curvature: float) -> None:
+def test_a_bent_lane_follows_the_circle(curvature):
     """In a bend of 8 m it ends after a quarter turn, which it would else leave by a metre."""
     control = arc(curvature, 6.0, min(40.0, 6.0 + math.pi / 2 / abs(curvature)))
     points = point(control, torch.linspace(0, 1, 50, dtype=torch.float64))
@@ -204,7 +203,7 @@ def test_a_bent_lane_follows_the_circle(curvature: float) -> None:
     assert (offset > 0).double().mean() == pytest.approx(0.5 + 0.65 * abs(curvature), abs=0.02)  # the outer one is longer
 
 
-def test_lines_of_a_lane_are_its_width_apart() -> None:
+def test_lines_of_a_lane_are_its_width_apart():
     left, right = LaneParams(style="lines", lane_width_m=3.0, line_width_m=0.2).primitives(now())
     assert extent(left)[1][1] == pytest.approx(1.6) and extent(right)[0][1] == pytest.approx(-1.6)
     left, right = WidthParams(vehicle_width_m=2.0).primitives(now())
@@ -221,12 +220,12 @@ def test_lines_of_a_lane_are_its_width_apart() -> None:
         ({"speed_m_s": 36.0, "wet": True}, "adverse"),
     ],
 )
-def test_the_base_beam_is_chosen_by_situation(moment: dict[str, object], beam: str) -> None:
+def test_the_base_beam_is_chosen_by_situation(moment, beam):
     assert BaseBeamParams(beam="auto").at(now(**moment)).name == beam
     assert BaseBeamParams(beam="high").at(now(**moment)).name == "high"
 
 
-def test_the_base_beam_bends_into_curves() -> None:
+def test_the_base_beam_bends_into_curves():
     radius, distance = 200.0, 50.0
     angle = bend_of_course(1 / radius, distance)
     chord = 2 * radius * math.sin(distance / radius / 2)
@@ -237,7 +236,7 @@ def test_the_base_beam_bends_into_curves() -> None:
     assert math.degrees(math.atan2(ahead[1], ahead[0])) == pytest.approx(-5) and math.degrees(math.asin(-ahead[2])) == pytest.approx(1)
 
 
-def test_a_perfect_tracker_reports_the_box_of_a_body() -> None:
+def test_a_perfect_tracker_reports_the_box_of_a_body():
     mesh = trimesh.creation.box((4, 2, 1))
     mesh.apply_translation((1, 0, 0.8))
     track = PoseTrack((0.0, 1.0), torch.stack([HERE, pose_from_degrees((10, 0, 0))]), 0.0, 5.0)
@@ -268,12 +267,12 @@ def test_a_perfect_tracker_reports_the_box_of_a_body() -> None:
         ),
     ],
 )
-def test_what_could_draw_nothing_is_refused(kind: type[Params], given: dict[str, object], words: str) -> None:
+def test_what_could_draw_nothing_is_refused(kind, given, words):
     with pytest.raises(ValidationError, match=words):
         kind(**given)
 
 
-def test_what_is_indicated_acts_with_that_side_and_with_the_hazard_lights() -> None:
+def test_what_is_indicated_acts_with_that_side_and_with_the_hazard_lights():
     symbol = SymbolFunctionParams(image="a", indicated="left")
     shown = {each: bool(symbol.primitives(now(indicator=each))) for each in ("off", "left", "right", "hazard")}
     assert shown == {"off": False, "left": True, "right": False, "hazard": True}
@@ -282,7 +281,7 @@ def test_what_is_indicated_acts_with_that_side_and_with_the_hazard_lights() -> N
     assert LaneParams().primitives(now())
 
 
-def test_a_primitive_on_the_road_is_a_symbol() -> None:
+def test_a_primitive_on_the_road_is_a_symbol():
     given = {"image": "a", "x_m": 20.0, "y_m": 1.0, "yaw_deg": 30.0, "width_m": 2.0, "length_m": 6.0}
     (one,), (other,) = (kind(**given).primitives(now()) for kind in (PrimitiveParams, SymbolFunctionParams))
     for name in ("origin", "d1", "d2", "normal", "value", "priority"):
@@ -290,14 +289,14 @@ def test_a_primitive_on_the_road_is_a_symbol() -> None:
     assert one.symbols[0].equal(other.symbols[0])
 
 
-def test_an_upright_primitive_faces_the_car_with_its_first_row_on_top() -> None:
+def test_an_upright_primitive_faces_the_car_with_its_first_row_on_top():
     (p,) = PrimitiveParams(x_m=25, y_m=1, z_m=1.5, pitch_deg=-90, width_m=2, length_m=3).primitives(now())
     assert_close(p.origin[0], torch.tensor([25.0, 2.0, 3.0]).double())
     assert_close(torch.stack([p.d1[0], p.d2[0]]), torch.tensor([[0.0, -2.0, 0.0], [0.0, 0.0, -3.0]]).double())
     assert_close(p.normal[0], torch.tensor([-1.0, 0.0, 0.0]).double())
 
 
-def test_an_upright_primitive_lights_the_directions_in_which_it_is_seen() -> None:
+def test_an_upright_primitive_lights_the_directions_in_which_it_is_seen():
     """A wall of light 20 m ahead, 4 m wide and 1 m high, is seen from the lamp at tangents of +-0.1 across and -0.01 +-0.025 up."""
     planner = Planner.prepare(
         {"wall": {"kind": "primitive", "x_m": 20, "z_m": 0.55, "pitch_deg": -90, "width_m": 4, "length_m": 1}},

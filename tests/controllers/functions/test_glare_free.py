@@ -37,7 +37,7 @@ def enters(mask: Primitives, eye: Tensor, points: Tensor) -> Tensor:
     return entered
 
 
-def test_a_cuboid_has_six_faces_that_look_outward() -> None:
+def test_a_cuboid_has_six_faces_that_look_outward():
     T = pose_from_degrees((10, 3, 1), 10, 20, 30)
     low, high = torch.tensor([-1.0, -2.0, 0.0]).double(), torch.tensor([2.0, 3.0, 4.0]).double()
     origin, d1, d2 = cuboid(T, low, high)
@@ -54,7 +54,7 @@ def test_a_cuboid_has_six_faces_that_look_outward() -> None:
 
 @settings(max_examples=40)
 @given(x=st.floats(3.5, 90), y=st.floats(-12, 12), yaw_deg=st.floats(-180, 180), margin_m=thousandths(1.5), margin_deg=thousandths(1.0))
-def test_the_mask_holds_the_whole_box_seen_from_both_lamps(x: float, y: float, yaw_deg: float, margin_m: float, margin_deg: float) -> None:
+def test_the_mask_holds_the_whole_box_seen_from_both_lamps(x, y, yaw_deg, margin_m, margin_deg):
     """Right beside the car too, where a margin would reach around a lamp if it were not cut."""
     each = car(x, y, yaw_deg)
     parts = GlareFreeParams(margin_m=margin_m, margin_deg=margin_deg).primitives(now(each))
@@ -67,7 +67,7 @@ def test_the_mask_holds_the_whole_box_seen_from_both_lamps(x: float, y: float, y
         assert enters(mask, eye, surface(each)).all()
 
 
-def test_the_foot_stays_lit_before_it_and_the_margin_in_degrees_grows_with_the_distance() -> None:
+def test_the_foot_stays_lit_before_it_and_the_margin_in_degrees_grows_with_the_distance():
     low, high = extend_box(car(40, 0), 0.5, LAMPS)
     assert low.tolist() == [-2.75, -1.4, 0.0] and high.tolist() == [2.75, 1.4, 2.0]
     params = GlareFreeParams(margin_m=0.0, margin_deg=0.5)
@@ -77,7 +77,7 @@ def test_the_foot_stays_lit_before_it_and_the_margin_in_degrees_grows_with_the_d
     assert top == pytest.approx(1.5 + distance * math.tan(math.radians(0.5)))
 
 
-def test_fades_are_dark_at_once_and_bright_again_slowly() -> None:
+def test_fades_are_dark_at_once_and_bright_again_slowly():
     params = GlareFreeParams(fade_out_s=1.0)
     each = car(40, 0, since_s=1.0, until_s=5.0)
 
@@ -95,14 +95,14 @@ def test_fades_are_dark_at_once_and_bright_again_slowly() -> None:
 @pytest.mark.parametrize(
     "fading", [car(20, 0, until_s=0.0), car(48, 3, until_s=0.0), car(20, 0, since_s=0.0)], ids=["before", "beside", "new"]
 )
-def test_what_fades_yields_to_what_is_dark(fading: TrackedObject) -> None:
+def test_what_fades_yields_to_what_is_dark(fading):
     """It gives light again: in front of a dark object or in one pixel with it, the dark one must win. Zero, not little."""
     dark = car(50, 0)
     masked, free = light_on(now(fading, dark, time_s=0.2), COARSE, GlareFreeParams(fade_in_s=0.6), surface(dark))
     assert free.max() > 100 and masked.max() == 0
 
 
-def test_soft_zones_are_nested_and_the_mask_lies_on_top() -> None:
+def test_soft_zones_are_nested_and_the_mask_lies_on_top():
     zones = [{"margin_m": 0.5, "u_rel": 0.3}, {"margin_m": 1.0, "u_rel": 0.6}]
     mask, inner, outer = GlareFreeParams(soft_zones=zones).primitives(now(car(40, 0)))
     assert mask.priority[0] > inner.priority[0] > outer.priority[0]
@@ -111,7 +111,7 @@ def test_soft_zones_are_nested_and_the_mask_lies_on_top() -> None:
     assert outer.corners()[..., 2].max() > inner.corners()[..., 2].max() > mask.corners()[..., 2].max()
 
 
-def test_only_the_classes_and_distances_meant_are_masked() -> None:
+def test_only_the_classes_and_distances_meant_are_masked():
     person = TrackedObject("p", "pedestrian", pose_from_degrees((20, 2, 0)), (0.4, 0.5, 1.7))
     assert not GlareFreeParams().primitives(now(person, car(-10, 0), car(300, 0)))
     assert GlareFreeParams(categories=("pedestrian",)).primitives(now(person))
@@ -138,7 +138,7 @@ def light_on(situation: Situation, light: Headlight, params: GlareFreeParams, po
 @pytest.mark.parametrize("light", [FINE, COARSE], ids=["fine", "coarse"])
 @pytest.mark.parametrize(("x", "y"), [(25.0, 2.5), (60.0, -2.0), (12.0, 0.4)])
 @pytest.mark.parametrize("margin", [0.0, 0.2])
-def test_no_light_gets_to_the_box(light: Headlight, x: float, y: float, margin: float) -> None:
+def test_no_light_gets_to_the_box(light, x, y, margin):
     """Zero, not little: edges and corners included, though texels beside the box are lit and are interpolated with."""
     each = car(x, y, yaw_deg=170.0)
     masked, free = light_on(now(each), light, GlareFreeParams(margin_m=margin, margin_deg=margin), surface(each))

@@ -29,7 +29,7 @@ def find(tmp_path: Path):  # type: ignore[no-untyped-def]
     return lambda name: tmp_path / f"{name}.png"
 
 
-def test_all_functions_come_together(find) -> None:  # type: ignore[no-untyped-def]
+def test_all_functions_come_together(find):  # type: ignore[no-untyped-def]
     planner = Planner.prepare(FUNCTIONS, LightingParams(base={"beam": "high"}), find)
     plan = planner.plan(now(CAR))
     assert plan.base.name == "high" and plan.primitives is not None
@@ -41,7 +41,7 @@ def test_all_functions_come_together(find) -> None:  # type: ignore[no-untyped-d
     assert nothing.primitives is None and nothing.for_module("left") is None
 
 
-def test_a_symbol_is_never_drawn_on_a_masked_car(find) -> None:  # type: ignore[no-untyped-def]
+def test_a_symbol_is_never_drawn_on_a_masked_car(find):  # type: ignore[no-untyped-def]
     """However high its priority is, and though it is forced."""
     symbol = {"kind": "symbol", "image": "arrow", "x_m": 40.0, "y_m": 2.5, "width_m": 6, "length_m": 20, "priority": 100, "forced": True}
     situation = now(CAR)
@@ -57,7 +57,7 @@ def test_a_symbol_is_never_drawn_on_a_masked_car(find) -> None:  # type: ignore[
     assert not ssc.utilisation(drawn, T).u[dark].any()
 
 
-def test_bad_tables_are_refused(tmp_path: Path) -> None:
+def test_bad_tables_are_refused(tmp_path):
     with pytest.raises(ValidationError, match="glare_free"):
         Planner.prepare({"guard": {"kind": "glarefree"}}, LightingParams())
     with pytest.raises(ValidationError, match="margin"):

@@ -30,7 +30,7 @@ def hd84() -> Headlight:
 
 @pytest.mark.parametrize("objective", ["mae", "least_squares"])
 @pytest.mark.parametrize(("quantity", "value"), [("I_v", 8000.0), ("E_v", 12.0), ("u_abs", 0.4), ("u_rel", 1.8)])
-def test_the_controller_is_nearer_to_its_primitives_than_ssc(hd84: Headlight, objective: str, quantity: str, value: float) -> None:
+def test_the_controller_is_nearer_to_its_primitives_than_ssc(hd84, objective, quantity, value):
     default = torch.full((84,), 0.2)
     jpo = Jpo.prepare(hd84, JpoParams(objective=objective), default)
     primitives = on_a_wall(value=value, quantity=quantity)
@@ -42,7 +42,7 @@ def test_the_controller_is_nearer_to_its_primitives_than_ssc(hd84: Headlight, ob
     assert torch.equal(joint[~goal.free], default[~goal.free]) and goal.free.any() and not goal.free.all()
 
 
-def test_shares_mean_the_light_that_they_give(hd84: Headlight) -> None:
+def test_shares_mean_the_light_that_they_give(hd84):
     jpo = Jpo.prepare(hd84, default=torch.rand(84, generator=torch.Generator().manual_seed(1)))
     goal = jpo.goal(concatenate(on_a_wall(2.5, 0.4, "u_abs"), on_a_wall(-2.5, 1.5, "u_rel")), T_LAMP)
     full, default = hd84.light_texture(torch.ones(84)).flatten(), hd84.light_texture(jpo.default).flatten()
@@ -51,7 +51,7 @@ def test_shares_mean_the_light_that_they_give(hd84: Headlight) -> None:
     assert changed.sum() > 500 and close[changed].all()
 
 
-def test_a_mask_is_dark_and_its_surroundings_are_not(hd84: Headlight) -> None:
+def test_a_mask_is_dark_and_its_surroundings_are_not(hd84):
     jpo = Jpo.prepare(hd84, default=torch.ones(84))
     mask = on_a_wall(value=0.0, weight=float("inf"))
     goal, u = jpo.goal(mask, T_LAMP), jpo.utilisation(mask, T_LAMP).u
@@ -62,7 +62,7 @@ def test_a_mask_is_dark_and_its_surroundings_are_not(hd84: Headlight) -> None:
 
 
 @pytest.mark.parametrize("objective", ["mae", "least_squares"])
-def test_heavy_light_beside_a_mask_counts_a_thousandfold(hd84: Headlight, objective: str) -> None:
+def test_heavy_light_beside_a_mask_counts_a_thousandfold(hd84, objective):
     jpo, mask = Jpo.prepare(hd84, JpoParams(objective=objective)), on_a_wall(y_m=-2.5, value=0.0, weight=float("inf"))
     scenes = [concatenate(on_a_wall(weight=weight), mask) for weight in (1e3, 1e30, float("inf"))]
     goals = [jpo.goal(scene, T_LAMP) for scene in scenes]
@@ -73,7 +73,7 @@ def test_heavy_light_beside_a_mask_counts_a_thousandfold(hd84: Headlight, object
 
 
 @pytest.mark.parametrize("there_is", [True, False], ids=["aside", "nothing"])
-def test_nothing_in_sight_leaves_the_default(hd84: Headlight, there_is: bool) -> None:
+def test_nothing_in_sight_leaves_the_default(hd84, there_is):
     default = torch.rand(84, generator=torch.Generator().manual_seed(2))
     scene = on_a_wall(y_m=60.0).select(torch.tensor([there_is]))
     batch = replace(scene, **{name: torch.stack(2 * [getattr(scene, name)]) for name in VECTORS})
@@ -84,7 +84,7 @@ def test_nothing_in_sight_leaves_the_default(hd84: Headlight, there_is: bool) ->
         torch.testing.assert_close(controller.utilisation(batch, T_LAMP).u, default.expand(2, -1), rtol=0, atol=1e-5)
 
 
-def test_a_batch_of_scenes_gives_what_each_gives(hd84: Headlight, device: torch.device) -> None:
+def test_a_batch_of_scenes_gives_what_each_gives(hd84, device):
     jpo = Jpo.prepare(hd84.to(device), JpoParams(iterations=400))
     places = [2.0, -1.0]
     alone = [jpo.utilisation(on_a_wall(y).to(device), T_LAMP).u for y in places]
@@ -99,7 +99,7 @@ def test_a_batch_of_scenes_gives_what_each_gives(hd84: Headlight, device: torch.
         torch.testing.assert_close(errors[1], errors[0], rtol=2e-3, atol=0)
 
 
-def test_over_another_beam_it_is_as_if_prepared_for_it(hd84: Headlight) -> None:
+def test_over_another_beam_it_is_as_if_prepared_for_it(hd84):
     beam = torch.rand(84, generator=torch.Generator().manual_seed(2))
     moved, anew = Jpo.prepare(hd84).over(beam), Jpo.prepare(hd84, default=beam)
     assert torch.equal(moved.full, anew.full)

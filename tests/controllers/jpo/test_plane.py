@@ -26,7 +26,7 @@ def illuminance(light: Headlight, pose: Tensor, u: Tensor, points: Tensor) -> Te
     return light.intensity(light.light_texture(u), local.float()) * pose[2, 3] / distance**3
 
 
-def test_cells_have_the_light_of_their_points_and_it_is_found_again(lights: tuple[Headlight, Headlight]) -> None:
+def test_cells_have_the_light_of_their_points_and_it_is_found_again(lights):
     generator = torch.Generator().manual_seed(0)
     u = [torch.rand(light.n_pixels, generator=generator) for light in lights]
     points = RASTER.points(8)
@@ -42,7 +42,7 @@ def test_cells_have_the_light_of_their_points_and_it_is_found_again(lights: tupl
     assert (found.lx - same.lx).square().mean().sqrt() < 0.01 * same.lx.mean()  # in 255 steps
 
 
-def test_pixels_that_light_nothing_of_it_keep_their_light(lights: tuple[Headlight, Headlight]) -> None:
+def test_pixels_that_light_nothing_of_it_keep_their_light(lights):
     where = torch.zeros(64, 32, dtype=torch.bool)
     where[20:30, 14:18] = True
     now = [(light, pose, torch.full((light.n_pixels,), 0.3)) for light, pose in zip(lights, POSES, strict=True)]
@@ -53,14 +53,14 @@ def test_pixels_that_light_nothing_of_it_keep_their_light(lights: tuple[Headligh
     assert dark.lx[where.flatten()].mean() < 0.5 * same.lx[where.flatten()].mean()  # the light beside it shall stay as well
 
 
-def test_where_no_lamp_shines_nothing_can_be_had(lights: tuple[Headlight, Headlight]) -> None:
+def test_where_no_lamp_shines_nothing_can_be_had(lights):
     behind = Raster(-20.0, -10.0, -5.0, 5.0, 4, 4)
     with refusal("no pixel lights the place"):
         fit_plane([(lights[0], POSES[0], torch.zeros(84))], behind, torch.ones(16), torch.ones(16, dtype=torch.bool))
 
 
 @pytest.mark.parametrize("name", ["hd84", "idealised-332x1024"])
-def test_the_pixels_of_a_place_are_those_that_light_it(name: str) -> None:
+def test_the_pixels_of_a_place_are_those_that_light_it(name):
     light, pose = lamp(name).modules[0].headlight, POSES[0]
     point = torch.tensor([22.0, 0.4, 0.0], dtype=torch.float64)
     pixels, cd = lighting(light, pose, point)

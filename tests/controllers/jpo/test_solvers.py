@@ -53,7 +53,7 @@ def linear_programme(A: sp.csr_matrix, target: np.ndarray, weight: np.ndarray) -
     return float(best.fun)
 
 
-def test_the_check_values_of_one_pixel() -> None:
+def test_the_check_values_of_one_pixel():
     light = headlight_of(np.array([[0.13], [0.35], [0.95], [1.3]]))
     texture = torch.tensor([[0.0, 0.0, 1.0, 1.0]], dtype=torch.float64)
     goal = pixel_goal(light, texture)
@@ -65,7 +65,7 @@ def test_the_check_values_of_one_pixel() -> None:
 
 @settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_the_least_error_of_any_lamp_is_that_of_a_linear_programme(seed: int) -> None:
+def test_the_least_error_of_any_lamp_is_that_of_a_linear_programme(seed):
     """All texels and pixels are in the programme: what the solver leaves out beforehand costs nothing."""
     light, goal = random_problem(seed)
     found = least_error(light.matrix, goal, gap=1e-4)
@@ -77,7 +77,7 @@ def test_the_least_error_of_any_lamp_is_that_of_a_linear_programme(seed: int) ->
     assert ((found.u >= 0) & (found.u <= 1)).all()
 
 
-def test_the_proof_holds_for_16_k_pixels() -> None:
+def test_the_proof_holds_for_16_k_pixels():
     light = lamp("ssl-hd-lores").modules[0].headlight
     texture = RECTANGLES[700].texture(light)
     found = least_error(light.matrix, pixel_goal(light, texture))
@@ -88,7 +88,7 @@ def test_the_proof_holds_for_16_k_pixels() -> None:
 
 @settings(max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1), iterations=st.integers(1, 30))
-def test_a_start_is_never_made_worse_and_bounds_hold(seed: int, iterations: int) -> None:
+def test_a_start_is_never_made_worse_and_bounds_hold(seed, iterations):
     light, goal = random_problem(seed)
     goal = replace(goal, start=torch.rand(light.n_pixels, generator=torch.Generator().manual_seed(seed)).double())
     before = (goal.weight * (multiply(light.matrix, goal.start) - goal.target).abs()).sum()
@@ -98,7 +98,7 @@ def test_a_start_is_never_made_worse_and_bounds_hold(seed: int, iterations: int)
     assert ((found.u >= 0) & (found.u <= 1)).all()
 
 
-def test_a_batch_gives_what_its_entries_give(device: torch.device) -> None:
+def test_a_batch_gives_what_its_entries_give(device):
     light, _ = random_problem(1)
     light = light.to(device)
     textures = torch.rand(3, 2, 1, light.cols, generator=torch.Generator().manual_seed(2)).double().to(device)
@@ -115,7 +115,7 @@ def test_a_batch_gives_what_its_entries_give(device: torch.device) -> None:
 
 
 @pytest.mark.parametrize("every", [1, 2])
-def test_free_pixels_reach_the_optimum_of_scipy_and_others_keep_their_light(every: int) -> None:
+def test_free_pixels_reach_the_optimum_of_scipy_and_others_keep_their_light(every):
     light, goal = random_problem(4)
     free = torch.arange(light.n_pixels) % every == 0
     goal = replace(goal, free=free, start=torch.full((light.n_pixels,), 0.3, dtype=torch.float64))
@@ -131,7 +131,7 @@ def test_free_pixels_reach_the_optimum_of_scipy_and_others_keep_their_light(ever
     assert 0.5 * residual @ residual == pytest.approx(expected.cost, rel=1e-8)
 
 
-def test_a_masked_texel_stays_dark_whatever_it_costs() -> None:
+def test_a_masked_texel_stays_dark_whatever_it_costs():
     light, goal = random_problem(5)
     weight = goal.weight.clone()
     at = int(goal.target.argmin())
@@ -143,14 +143,14 @@ def test_a_masked_texel_stays_dark_whatever_it_costs() -> None:
         assert u.sum() > 0
 
 
-def test_the_pseudo_inverse_is_least_squares_where_nothing_is_clamped() -> None:
+def test_the_pseudo_inverse_is_least_squares_where_nothing_is_clamped():
     light, _ = random_problem(7)
     u = torch.rand(2, light.n_pixels, generator=torch.Generator().manual_seed(7)).double()
     assert_close(MoorePenrose.prepare(light).utilisation(light.light_texture(u)), u, rtol=0, atol=1e-9)
     assert MoorePenrose.prepare(light).utilisation(1000 * light.light_texture(u)).max() == 1
 
 
-def test_textures_and_starts_that_do_not_fit_are_refused_in_a_sentence() -> None:
+def test_textures_and_starts_that_do_not_fit_are_refused_in_a_sentence():
     light, _ = random_problem(8)
     with refusal(r"wanted light texture is of shape \[3, 40\]; 'made up' needs 1 rows by 40 columns"):
         pixel_goal(light, torch.zeros(3, 40))

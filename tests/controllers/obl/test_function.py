@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import pytest
 import torch
@@ -30,7 +29,6 @@ from luxloop.controllers.situation import Situation, TrackedObject
 from luxloop.perception.tracking import LINGER_S
 from luxloop.world.frames import inverse, pose_from_degrees, transform
 from luxloop.world.lamps.presets import lamp
-from luxloop.world.params import Params
 from tests.controllers.situations import HERE, car, surface
 
 PLACES = [pose_from_degrees((0.0, y, 0.65)) for y in (0.6, -0.6)]
@@ -67,7 +65,7 @@ def shining():  # type: ignore[no-untyped-def]
 
 
 @pytest.mark.parametrize("x", [12.0, 20.0, 30.0])
-def test_the_body_gets_the_setpoint_and_the_head_none(shining, x: float) -> None:  # type: ignore[no-untyped-def]
+def test_the_body_gets_the_setpoint_and_the_head_none(shining, x):  # type: ignore[no-untyped-def]
     """Over a beam of full light. Pixels are blurred by 0.4 deg, so that the body is darker right below the head."""
     each, blurred = person(x=x), x * math.tan(math.radians(0.9))
     front = torch.tensor([[x - 0.2] * 3, [0.85, 1.0, 1.15], [0.3, 0.5, 0.6]], dtype=torch.float64)
@@ -76,7 +74,7 @@ def test_the_body_gets_the_setpoint_and_the_head_none(shining, x: float) -> None
     assert shining(DARK, now(each), surface(each, 0.85, 1.0), share=1.0).max() == 0
 
 
-def test_who_stands_before_a_windscreen_is_lit_and_it_stays_dark_beside(shining) -> None:  # type: ignore[no-untyped-def]
+def test_who_stands_before_a_windscreen_is_lit_and_it_stays_dark_beside(shining):  # type: ignore[no-untyped-def]
     """Its torso is before a windscreen 20 m behind; pixels are blurred by 0.4 deg, 0.1 m there, and the core is 0.3 m wide."""
     near, far = person(x=15.0), car(35.0, 1.0)
     torso = torch.tensor([[14.8] * 3, [1.0] * 3, [0.9, 1.0, 1.1]], dtype=torch.float64)
@@ -89,7 +87,7 @@ def test_who_stands_before_a_windscreen_is_lit_and_it_stays_dark_beside(shining)
     assert shining(CONSTANT, now(far, gone), surface(far, 0.7, 1.0), share=1.0).max() < 1
 
 
-def test_light_on_a_deer_leaves_the_head_behind_its_back_dark(shining) -> None:  # type: ignore[no-untyped-def]
+def test_light_on_a_deer_leaves_the_head_behind_its_back_dark(shining):  # type: ignore[no-untyped-def]
     """It carries its head beside its body, and the air above its back hides nobody."""
     deer = TrackedObject("deer", "animal", pose_from_degrees((8.2, -0.7, 0.0), yaw_deg=90), (1.8, 0.84, 1.3))
     far = person(x=11.7, y=-0.6)
@@ -99,7 +97,7 @@ def test_light_on_a_deer_leaves_the_head_behind_its_back_dark(shining) -> None: 
 
 @settings(max_examples=15)
 @given(x=st.floats(8, 60), y=st.floats(-6, 6), kind=st.sampled_from(["car", "person"]))
-def test_heads_and_windscreens_stay_dark_wherever_the_object_is(shining, x: float, y: float, kind: str) -> None:  # type: ignore[no-untyped-def]
+def test_heads_and_windscreens_stay_dark_wherever_the_object_is(shining, x, y, kind):  # type: ignore[no-untyped-def]
     """Over a beam of full light, all around the upper part of the box: `dark_lx`, or zero, not little, where that is asked for."""
     each = car(x, y) if kind == "car" else person(x=x, y=y)
     eyes = surface(each, 1 - 0.8 * ObjectLightParams().dark[each.category], 1.0)  # the rest is for the pixels' blur
@@ -107,7 +105,7 @@ def test_heads_and_windscreens_stay_dark_wherever_the_object_is(shining, x: floa
     assert shining(CONSTANT, now(each), eyes, share=1.0).max() < 1
 
 
-def test_a_mask_beats_the_light_of_an_object_beside_it(shining) -> None:  # type: ignore[no-untyped-def]
+def test_a_mask_beats_the_light_of_an_object_beside_it(shining):  # type: ignore[no-untyped-def]
     """A child stands before someone's chest, and someone behind a car."""
     child = TrackedObject("child", "pedestrian", pose_from_degrees((20.0, 1.0, 0.0)), (0.3, 0.5, 1.1))
     for objects in ((child, person(x=22.0)), (car(25, 1), person(x=29.0, y=1.5))):
@@ -117,7 +115,7 @@ def test_a_mask_beats_the_light_of_an_object_beside_it(shining) -> None:  # type
 
 
 @given(x=st.floats(4, 80), y=st.floats(-8, 8), yaw=st.floats(-180, 180))
-def test_the_rectangle_covers_the_box_seen_from_every_lamp(x: float, y: float, yaw: float) -> None:
+def test_the_rectangle_covers_the_box_seen_from_every_lamp(x, y, yaw):
     each = replace(car(0.0, 0.0), T_world_object=pose_from_degrees((x, y, 0.0), yaw_deg=yaw))
     low, high = torch.tensor([-2.25, -0.9, 0.0]), torch.tensor([2.25, 0.9, 1.5])
     place = frontal(each.T_world_object, low, high, LAMPS, 0.0, 0.0)
@@ -144,12 +142,12 @@ def test_the_rectangle_covers_the_box_seen_from_every_lamp(x: float, y: float, y
         (ObjectLightParams, {"period_m": 0.02}, "greater than or equal to 0.05"),
     ],
 )
-def test_bad_values_are_refused_by_name(params: type[Params], given: dict[str, Any], words: str) -> None:
+def test_bad_values_are_refused_by_name(params, given, words):
     with pytest.raises(ValidationError, match=words):
         params(**given)
 
 
-def test_setpoints_follow_the_class() -> None:
+def test_setpoints_follow_the_class():
     function = ObjectBasedParams(method="class", setpoints_lx={"pedestrian": 7.0}, setpoint_lx=2.0)
     values = [part.value.item() for part in function.adapted(function.start(), now(person(), car(30.0, 3.0)))]
     dark = function.light.dark_lx
@@ -159,12 +157,12 @@ def test_setpoints_follow_the_class() -> None:
 
 
 @pytest.mark.parametrize(("confidence", "parts"), [(0.9, 1), (0.5, 2)])
-def test_who_may_be_no_animal_has_a_dark_head(confidence: float, parts: int) -> None:
+def test_who_may_be_no_animal_has_a_dark_head(confidence, parts):
     deer = replace(person(), category="animal", confidence=confidence)
     assert len(CONSTANT.adapted(CONSTANT.start(), now(deer))) == parts
 
 
-def test_structure_is_light_and_dark_in_cells_of_half_a_period() -> None:
+def test_structure_is_light_and_dark_in_cells_of_half_a_period():
     for pattern, dark in (("stripes", 0.5), ("checks", 0.5)):
         light = ObjectLightParams(pattern=pattern, period_m=0.4, margin_m=0.0)
         lit = light.on(person(), LAMPS, 10.0, 0, 0, ())[0]
@@ -176,7 +174,7 @@ def test_structure_is_light_and_dark_in_cells_of_half_a_period() -> None:
     assert (rows == rows[0]).all() and len(rows) == CELLS  # one row of them, however high the object is
 
 
-def test_a_new_object_is_lit_at_once_and_a_lost_one_fades() -> None:
+def test_a_new_object_is_lit_at_once_and_a_lost_one_fades():
     function = ObjectBasedParams()
     start, seen = function.start(), now(person(since_s=0.0, score=0.4))
     state = function.step(start, seen)
@@ -195,7 +193,7 @@ def test_a_new_object_is_lit_at_once_and_a_lost_one_fades() -> None:
 @pytest.mark.parametrize(
     ("y", "until_s", "score", "goes_on"), [(1.2, 2.5, 0.7, True), (1.2, math.inf, math.nan, True), (2.5, 2.5, 0.7, False)]
 )
-def test_a_new_track_goes_on_with_the_light_of_one_that_is_missed_there(y: float, until_s: float, score: float, goes_on: bool) -> None:
+def test_a_new_track_goes_on_with_the_light_of_one_that_is_missed_there(y, until_s, score, goes_on):
     """Whether that is lost, or just not found any more; one who comes to stand beside it is somebody else, and gets all light."""
     function = ObjectBasedParams()
     state = function.start()
@@ -210,7 +208,7 @@ def test_a_new_track_goes_on_with_the_light_of_one_that_is_missed_there(y: float
     assert function.step(state, both).loops["second"].lx == 20.0
 
 
-def test_neighbours_that_share_their_light_settle_together() -> None:
+def test_neighbours_that_share_their_light_settle_together():
     """Each sees a third of the other's light too; none ends doubtful, and both stay where they settle."""
     function = ObjectBasedParams()
     names, knees = ("left", "right"), (3.0, 8.0)
@@ -230,7 +228,7 @@ def test_neighbours_that_share_their_light_settle_together() -> None:
 
 
 @pytest.mark.parametrize(("bright", "dim", "rises"), [(0.7, 0.4, True), (0.7, 0.7, False), (0.25, 0.1, False)])
-def test_it_is_the_lost_object_that_brings_light_back(bright: float, dim: float, rises: bool) -> None:
+def test_it_is_the_lost_object_that_brings_light_back(bright, dim, rises):
     """One that gets the brightest light and is lost in spite of it; not one that its own light may help, nor one that was never sure."""
     function = ObjectBasedParams()
     state = function.step(function.start(), now(person()))
@@ -251,7 +249,7 @@ def apparent(x: float, y: float, height: float = 1.7, width: float = 0.6) -> App
 
 
 @given(x=st.floats(5, 80), y=st.floats(-10, 10), error=st.floats(0.4, 2.5))
-def test_an_error_of_the_distance_changes_nothing(x: float, y: float, error: float) -> None:
+def test_an_error_of_the_distance_changes_nothing(x, y, error):
     """A box that fills the same part of the image is larger the farther away it is taken to be."""
     near, far = apparent(x, y), apparent(error * x, error * y, error * 1.7, error * 0.6)
     for name in ("bearing_rad", "width_rad", "height_rad"):
@@ -262,5 +260,5 @@ def test_an_error_of_the_distance_changes_nothing(x: float, y: float, error: flo
 @pytest.mark.parametrize(
     ("other", "same"), [((20, 1.5), True), ((20, 1.7), False), ((28, 1.4), True), ((34, 1.7), False), ((13, 0.65), False)]
 )
-def test_who_stands_beside_or_far_behind_is_somebody_else(other: tuple[float, float], same: bool) -> None:
+def test_who_stands_beside_or_far_behind_is_somebody_else(other, same):
     assert apparent(20, 1.0).same(apparent(*other)) == same

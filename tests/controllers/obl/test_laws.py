@@ -21,7 +21,6 @@ from luxloop.controllers.functions.object_loop import (
     RaiseParams,
 )
 from luxloop.controllers.situation import TrackedObject
-from luxloop.world.traffic.tracked import Category
 
 HERE = torch.eye(4, dtype=torch.float64)
 PERSON = TrackedObject("person", "pedestrian", HERE, (0.5, 0.6, 1.7))
@@ -56,7 +55,7 @@ def followed(params: ObjectLoopParams, curve: Curve, noise: float = 0.0, steps: 
 
 @settings(max_examples=60)
 @given(knee=st.floats(2, 15), slope=st.floats(0.05, 0.2), fall=st.floats(0, 0.02), noise=st.floats(0, 0.015), seed=st.integers(0, 99))
-def test_the_light_comes_down_to_the_knee(knee: float, slope: float, fall: float, noise: float, seed: int) -> None:
+def test_the_light_comes_down_to_the_knee(knee, slope, fall, noise, seed):
     """It loses the tolerance against full light at most, and four errors of the difference of a mean of 6 and one of 12 frames.
 
     It is at most a step of `ratio` above that, unless the tolerance is less than five errors: noise may look like a loss then.
@@ -73,7 +72,7 @@ def test_the_light_comes_down_to_the_knee(knee: float, slope: float, fall: float
 
 @settings(max_examples=30)
 @given(knee=st.floats(2, 15), noise=st.floats(0, 0.08), seed=st.integers(0, 99))
-def test_what_has_settled_stays_where_nothing_changes(knee: float, noise: float, seed: int) -> None:
+def test_what_has_settled_stays_where_nothing_changes(knee, noise, seed):
     """For ten seconds, up to a noise of 0.08 a frame: `drop` is then five errors of a mean of 15 frames."""
     states = followed(ObjectLoopParams(), Knee(knee), noise, steps=300, seed=seed)
     settled = next(k for k, state in enumerate(states) if state.settled)
@@ -84,13 +83,13 @@ def test_what_has_settled_stays_where_nothing_changes(knee: float, noise: float,
     ("curve", "low", "high"),
     [(Knee(5.0, fall=0.1), 3.0, 8.0), (lambda lx: 0.6, 0.0, 2.0 * 1.5), (Knee(100.0, slope=0.15, top=0.9), 20 / 1.5, 20.0)],
 )
-def test_the_search_ends_where_confidence_is_best(curve: Curve, low: float, high: float) -> None:
+def test_the_search_ends_where_confidence_is_best(curve, low, high):
     """Below a light that dazzles; at least_lx and a step of `ratio` for who gains nothing; bright for who gains to the end."""
     last = followed(ObjectLoopParams(), curve)[-1]
     assert last.settled and low < last.lx <= high
 
 
-def test_raising_ends_at_the_best_step() -> None:
+def test_raising_ends_at_the_best_step():
     params = ObjectLoopParams(search={"kind": "raise"})
     states = followed(params, curve := Knee(6.0, fall=0.03))
     assert [state.lx for state in states[::6]][:4] == [1.0, 2.0, 4.0, 8.0]
@@ -98,14 +97,14 @@ def test_raising_ends_at_the_best_step() -> None:
     assert RaiseParams().next([(lx, lx / 10) for lx in (1.0, 2.0, 4.0, 8.0)], (1.0, 8.0))[1], "at the most there is"
 
 
-def test_an_illuminance_is_confirmed_before_it_is_kept() -> None:
+def test_an_illuminance_is_confirmed_before_it_is_kept():
     """A lucky trial of a light that is too weak is found out by the second, and the next greater one is tried again."""
     law, bounds = LowerParams(ratio=5.0), (1.0, 20.0)
     assert law.next([(20.0, 0.7), (4.0, 0.7)], bounds) == (4.0, False)
     assert law.next([(20.0, 0.7), (4.0, 0.7), (4.0, 0.4)], bounds) == (20.0, False)
 
 
-def test_an_object_that_is_not_found_counts_as_nought_and_slow_changes_are_followed() -> None:
+def test_an_object_that_is_not_found_counts_as_nought_and_slow_changes_are_followed():
     """A light too weak to find it by is left; confidence that falls with the distance, by 0.3 in 20 s, is not the light's doing."""
     params = ObjectLoopParams()
     loop = params.start(PERSON, HIGH)
@@ -128,7 +127,7 @@ def again(params: ObjectLoopParams, curve: Curve, each: TrackedObject = PERSON, 
     return states
 
 
-def test_who_is_hidden_now_and_then_gets_the_light_again() -> None:
+def test_who_is_hidden_now_and_then_gets_the_light_again():
     params, curve = ObjectLoopParams(), Knee(6.0, top=0.8)
     loop = followed(params, curve)[-1]
     for _ in range(5):
@@ -139,7 +138,7 @@ def test_who_is_hidden_now_and_then_gets_the_light_again() -> None:
 
 @settings(max_examples=40)
 @given(knee=st.floats(2.5, 7), what=st.sampled_from([("cyclist", HIGH), ("pedestrian", 1.6 * HIGH), ("pedestrian", HIGH / 1.6)]))
-def test_what_has_changed_is_searched_around_its_setpoint(knee: float, what: tuple[Category, float]) -> None:
+def test_what_has_changed_is_searched_around_its_setpoint(knee, what):
     """No further than twice as bright or half as bright, and to the new knee as far as that reaches: an octave, which is no `drop`."""
     category, high = what
     before = followed(params := ObjectLoopParams(), Knee(4.0))[-1].lx
@@ -151,13 +150,13 @@ def test_what_has_changed_is_searched_around_its_setpoint(knee: float, what: tup
     assert sum(not state.settled for state in states) <= 6 * params.frames
 
 
-def test_a_drop_is_searched_up_to_the_brightest() -> None:
+def test_a_drop_is_searched_up_to_the_brightest():
     states = again(ObjectLoopParams(), curve := Knee(14.0, slope=0.2))
     assert (False, 20.0) in {(state.settled, state.lx) for state in states}
     assert states[-1].settled and curve(states[-1].lx) >= 0.67
 
 
-def test_a_drop_that_light_does_not_mend_costs_none() -> None:
+def test_a_drop_that_light_does_not_mend_costs_none():
     """Who is hidden shines for six frames only: the brightest light brings nothing."""
     states = again(ObjectLoopParams(), lambda lx: 0.1)
     before = states[0].lx
@@ -165,7 +164,7 @@ def test_a_drop_that_light_does_not_mend_costs_none() -> None:
     assert sum(state.lx == 20.0 for state in states) == ObjectLoopParams().frames
 
 
-def test_raising_goes_on_from_where_it_is() -> None:
+def test_raising_goes_on_from_where_it_is():
     params = ObjectLoopParams(search={"kind": "raise"})
     loop, lx = followed(params, Knee(6.0, fall=0.03))[-1], []
     for _ in range(2 * STEPS):
@@ -174,7 +173,7 @@ def test_raising_goes_on_from_where_it_is() -> None:
     assert lx[0] == 8.0 and min(lx) == 8.0 and lx[-1] == 16.0 and loop.settled
 
 
-def test_bounds_in_the_wrong_order_are_refused() -> None:
+def test_bounds_in_the_wrong_order_are_refused():
     with pytest.raises(ValidationError, match="bright_lx: 1 is below least_lx = 40"):
         LowerParams(bright_lx=1, least_lx=40)
     with pytest.raises(ValidationError, match="most_lx: 40 is below first_lx = 50"):
@@ -198,14 +197,14 @@ def brightened(needed: float, steps: int) -> list[Ambient]:
     return states
 
 
-def test_with_nothing_in_doubt_it_falls_to_the_least_within_a_second() -> None:
+def test_with_nothing_in_doubt_it_falls_to_the_least_within_a_second():
     shares = [each.share for each in brightened(0.0, 30)]
     assert shares == sorted(shares, reverse=True) and shares[-1] == AMBIENT.least
     assert [AMBIENT.step(Ambient(0.5, rested=k), (), ()).share for k in (0, 2, 3)] == [0.5, 0.5, 0.25]
 
 
 @given(needed=st.floats(0.06, 1.0))
-def test_it_keeps_what_it_found_detectable_and_does_not_hunt(needed: float) -> None:
+def test_it_keeps_what_it_found_detectable_and_does_not_hunt(needed):
     """Never doubtful for longer than it takes to rise; steps are rare once the least has been found."""
     states = brightened(needed, 600)
     doubtful = [each.share < needed / 2 for each in states]
@@ -215,7 +214,7 @@ def test_it_keeps_what_it_found_detectable_and_does_not_hunt(needed: float) -> N
     assert states[-1].share < max(3.5 * needed, 1.5 * AMBIENT.least)
 
 
-def test_it_rises_at_once_and_waits_between_two_steps() -> None:
+def test_it_rises_at_once_and_waits_between_two_steps():
     first = doubted(Ambient(0.05, rested=1), 0.1, 0.9)
     assert first.share == 0.1
     ambient, shares = first, []
@@ -227,13 +226,13 @@ def test_it_rises_at_once_and_waits_between_two_steps() -> None:
 
 
 @pytest.mark.parametrize("params", [{"first": 0.0, "least": 0.0}, {"least": 0.0}, {"first": 0.1, "least": 0.5}])
-def test_a_loop_that_could_not_rise_or_begins_below_its_least_is_refused(params: dict[str, float]) -> None:
+def test_a_loop_that_could_not_rise_or_begins_below_its_least_is_refused(params):
     with pytest.raises(ValidationError, match=r"greater than 0|first: 0.1 is below least = 0.5"):
         AmbientLoopParams(**params)
 
 
 @given(first=st.floats(0.01, 1.0), least=st.floats(0.01, 1.0), confidences=st.lists(st.floats(0, 1), min_size=1, max_size=100))
-def test_the_share_stays_between_the_least_and_all(first: float, least: float, confidences: list[float]) -> None:
+def test_the_share_stays_between_the_least_and_all(first, least, confidences):
     params = AmbientLoopParams(first=max(first, least), least=least)
     ambient = Ambient(params.first)
     for confidence in confidences:

@@ -44,7 +44,7 @@ places = st.tuples(st.floats(-2, 2), st.floats(-1, 0.3), st.floats(0.001, 1), st
 
 @settings(max_examples=60)
 @given(places)
-def test_no_light_reaches_a_masked_body_however_thin_and_few_texels_more_are_dark(place: tuple[float, ...]) -> None:
+def test_no_light_reaches_a_masked_body_however_thin_and_few_texels_more_are_dark(place):
     dark = mask(*place)
     u = Ssc.prepare(LAMP, default=FULL).utilisation(dark, T).u
     assert not light_at(u, dark).any()
@@ -57,7 +57,7 @@ def test_no_light_reaches_a_masked_body_however_thin_and_few_texels_more_are_dar
     assert (at + 0.5 >= low).all() and (at + 0.5 <= high + 1e-3).all()
 
 
-def test_infinite_beats_finite_and_forced_beats_near() -> None:
+def test_infinite_beats_finite_and_forced_beats_near():
     near = board(0.0, 0.0, 100.0, 100.0, x=10.0, value=1.0, weight=1e6)
     far = board(0.0, 0.0, 100.0, 100.0, x=30.0, weight=math.inf)
     ssc = Ssc.prepare(LAMP)
@@ -76,7 +76,7 @@ def test_infinite_beats_finite_and_forced_beats_near() -> None:
 @pytest.mark.parametrize(
     "changes", [{"lower_cd": 5000.0}, {"a_ac": 1.0}, {"a_x": 1.0}, {"sampling": "brightest"}, {"a_d": 2.0}, {"a_r": 0.0}, {"a_r": 8.0}]
 )
-def test_nothing_lifts_a_mask(changes: dict) -> None:
+def test_nothing_lifts_a_mask(changes):
     """Its texels are pixels' faintest too, of 1e-4 of their peaks and less."""
     light, dark = lamp("hd84").finest.headlight, mask(0.0, -0.3, 0.6, 0.4)
     u = Ssc.prepare(light, MrpcParams(**changes), torch.ones(light.n_pixels)).utilisation(dark, T).u

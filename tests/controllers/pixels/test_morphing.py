@@ -30,20 +30,20 @@ def centre(u: torch.Tensor) -> tuple[float, float]:
     return math.atan((light.sum(0) @ y / light.sum()).item()), math.atan((light.sum(1) @ z / light.sum()).item())
 
 
-def test_an_unmoved_beam_is_the_beam() -> None:
+def test_an_unmoved_beam_is_the_beam():
     same = Morphing(LAMP, BEAM, PLAIN).utilisation(bend(0.0))
     assert (same[BEAM == 0.8] - 0.8).abs().max() < 0.07  # pixels overlap by a fifth, which mapping and reduction blur at edges
     assert same.sum().item() == pytest.approx(BEAM.sum().item(), rel=1e-3)  # a_r = 1 conserves light
 
 
 @pytest.mark.parametrize("yaw_deg", [-3.0, 1.0, 4.0])
-def test_bend_moves_the_beam_by_its_angle(yaw_deg: float) -> None:
+def test_bend_moves_the_beam_by_its_angle(yaw_deg):
     before, after = centre(BEAM), centre(Morphing(LAMP, BEAM, PLAIN).utilisation(bend(math.radians(yaw_deg))))
     assert math.degrees(after[0] - before[0]) == pytest.approx(yaw_deg, abs=0.03)  # a texel is 0.25 deg wide
     assert math.degrees(after[1] - before[1]) == pytest.approx(0, abs=0.02)
 
 
-def test_level_lowers_and_roll_turns_right_side_down() -> None:
+def test_level_lowers_and_roll_turns_right_side_down():
     morphing = Morphing(LAMP, BEAM, PLAIN)
     assert math.degrees(centre(BEAM)[1] - centre(morphing.utilisation(level(math.radians(1.0))))[1]) == pytest.approx(1.0, abs=0.03)
     bar = Morphing(LAMP, spot(slice(8, 10), slice(0, 40)), PLAIN)
@@ -52,14 +52,14 @@ def test_level_lowers_and_roll_turns_right_side_down() -> None:
     assert right > left + 1, "rows count downwards"
 
 
-def test_size_stretches_about_the_middle() -> None:
+def test_size_stretches_about_the_middle():
     T = torch.eye(4, dtype=torch.float64)
     wide = Morphing(LAMP, BEAM, PLAIN).utilisation(Morph(T, width=1.5))
     assert wide.sum().item() == pytest.approx(1.5 * BEAM.sum().item(), rel=0.02)  # the same intensity over more of the field
     assert centre(wide)[0] == pytest.approx(centre(BEAM)[0], abs=math.radians(0.02))
 
 
-def test_morphs_add_up_and_batch() -> None:
+def test_morphs_add_up_and_batch():
     morphing = Morphing(LAMP, BEAM, PLAIN)
     both = morphing.utilisation(bend(0.02).then(level(0.01)))
     stacked = Morph(torch.stack([bend(0.02).then(level(0.01)).T_headlight_screen, bend(0.0).T_headlight_screen]))

@@ -72,14 +72,14 @@ def base_pattern(seed: int) -> Tensor:
 
 
 @pytest.mark.parametrize("given", [{"a_m": -1}, {"a_m": 9}, {"a_r": 9}, {"lower_cd": 500, "upper_cd": 100}])
-def test_exponents_out_of_bounds_and_bounds_in_the_wrong_order_are_refused(given: dict[str, float]) -> None:
+def test_exponents_out_of_bounds_and_bounds_in_the_wrong_order_are_refused(given):
     with pytest.raises(ValidationError, match=r"a_|below lower_cd"):
         MrpcParams(**given)
 
 
 @pytest.mark.parametrize("quantity", ["I_v", "u_abs"])
 @pytest.mark.parametrize(("a_m", "a_r"), [(8.0, 1.0), (1.0, 8.0), (8.0, 8.0)])
-def test_great_exponents_stay_within_single_precision(a_m: float, a_r: float, quantity: Quantity) -> None:
+def test_great_exponents_stay_within_single_precision(a_m, a_r, quantity):
     """A candela to the power of eight does not: 1e5^8."""
     lamp, A = random_lamp(2)
     bright = replace(lamp, matrix=replace(lamp.matrix, values=100 * lamp.matrix.values))
@@ -101,7 +101,7 @@ def asked(*setpoints: float) -> Setpoints:
     return Setpoints(value, torch.ones_like(value), Window(0, 1, 0, len(setpoints)), (I_V,))
 
 
-def test_the_pixel_of_the_check_values() -> None:
+def test_the_pixel_of_the_check_values():
     """Setpoints 0, 0, s, s for a pixel of 0.13, 0.35, 0.95, 1.3 cd: least squares at s 2.25 / 2.7319, if no bound cuts s."""
     pixel, dark = one_pixel([0.13, 0.35, 0.95, 1.3]), torch.zeros(1, dtype=torch.float64)
     u, _ = reduced(asked(0, 0, 0.9, 0.9), pixel, MrpcParams(a_r=2), dark)
@@ -116,7 +116,7 @@ def test_the_pixel_of_the_check_values() -> None:
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("bounds", [{}, {"upper_cd": 100.0}], ids=["products", "entries"])
 @pytest.mark.parametrize("texels", [25, 100])
-def test_only_a_smaller_share_than_the_decimal_is_off(texels: int, bounds: dict[str, float], dtype: torch.dtype) -> None:
+def test_only_a_smaller_share_than_the_decimal_is_off(texels, bounds, dtype):
     """7 of 25 lit setpoints are a share of 0.28, which they are not in floating point."""
     lamp = one_pixel([1.0] * texels)
     lamp = replace(lamp, matrix=lamp.matrix.to(dtype))
@@ -128,7 +128,7 @@ def test_only_a_smaller_share_than_the_decimal_is_off(texels: int, bounds: dict[
         assert u[:, 0].nonzero()[0].item() == least, f"a_ac 0.{percent:02}"
 
 
-def test_sharpening_raises_edges_and_nothing_else() -> None:
+def test_sharpening_raises_edges_and_nothing_else():
     lamp = idealised(1, 40)
     value = torch.zeros(lamp.rows, lamp.cols, dtype=torch.float32)
     value[:, 20:60] = 20_000
@@ -149,7 +149,7 @@ def test_sharpening_raises_edges_and_nothing_else() -> None:
 
 @pytest.mark.parametrize("quantity", ["I_v", "E_v", "u_abs", "u_rel"])
 @pytest.mark.parametrize("values", [{}, {"a_m": 0.5, "a_ac": 0.3}, {"a_d": 1.2, "a_x": 0.4}], ids=str)
-def test_corrections_add_what_the_light_lacks(values: dict[str, float], quantity: Quantity) -> None:
+def test_corrections_add_what_the_light_lacks(values, quantity):
     lamp, A = random_lamp(8)
     default, plain = base_pattern(8), MrpcParams(**values)
     setpoints = random_setpoints(8, A, quantity)
@@ -169,7 +169,7 @@ def test_corrections_add_what_the_light_lacks(values: dict[str, float], quantity
         asked = [replace(ray, value=value) for ray, value in zip(wanted, raised, strict=True)]
 
 
-def test_corrections_leave_masks_dark() -> None:
+def test_corrections_leave_masks_dark():
     lamp = idealised(12, 40)
     value = torch.zeros(lamp.rows, lamp.cols)
     value[10:, 20:60] = 10_000
@@ -186,7 +186,7 @@ def test_corrections_leave_masks_dark() -> None:
 
 
 @pytest.mark.parametrize("quantity", ["I_v", "u_rel"])
-def test_a_batch_of_corrections_is_a_loop_of_singles(quantity: Quantity, device: torch.device) -> None:
+def test_a_batch_of_corrections_is_a_loop_of_singles(quantity, device):
     lamp, A = random_lamp(9)
     params, default = MrpcParams(corrections=2, a_ac=0.2), base_pattern(9).to(device)
     window = Window(1, 5, 2, 7)

@@ -1,7 +1,6 @@
 """Tuning of MapReduce control: the part of a lamp that matters, the equations entry by entry, and what the search finds."""
 
 import itertools
-from typing import Any
 
 import numpy as np
 import pytest
@@ -81,14 +80,14 @@ TRIALS = [
 
 
 @pytest.mark.parametrize("trial", TRIALS, ids=str)
-def test_utilisations_follow_the_equations(trial: Trial, light: Headlight, wanted: torch.Tensor) -> None:
+def test_utilisations_follow_the_equations(trial, light, wanted):
     I_m = light.matrix.to_scipy().toarray().astype(float)
     some = part(light, wanted)
     found = whole(light, some, TextureControl(some).utilisation(trial))
     np.testing.assert_allclose(found, plainly(I_m, wanted.double().numpy(), trial), atol=1e-5)  # powers up to 4.3 in float32
 
 
-def test_a_part_gives_the_light_of_the_whole(light: Headlight, wanted: torch.Tensor) -> None:
+def test_a_part_gives_the_light_of_the_whole(light, wanted):
     wanted[1:, :] = 0
     wanted[:, 5:] = 0
     some = part(light, wanted)
@@ -117,7 +116,7 @@ def test_a_part_gives_the_light_of_the_whole(light: Headlight, wanted: torch.Ten
     ],
     ids=str,
 )
-def test_the_lamps_own_control_does_the_same(values: dict[str, Any], light: Headlight) -> None:
+def test_the_lamps_own_control_does_the_same(values, light):
     """A primitive of constant luminous intensity across the lamp's axis lights the texels whose centres it covers."""
     left, bottom, width, height = 0.22, -0.06, 0.12, 0.06
     corner, d1, d2 = (10.0, 10 * left, 10 * (bottom + height)), (0.0, -10 * width, 0.0), (0.0, 0.0, -10 * height)
@@ -132,12 +131,12 @@ def test_the_lamps_own_control_does_the_same(values: dict[str, Any], light: Head
     np.testing.assert_allclose(found, driven, atol=1e-5)  # float32 both
 
 
-def test_light_beside_the_lamp_is_refused(light: Headlight, wanted: torch.Tensor) -> None:
+def test_light_beside_the_lamp_is_refused(light, wanted):
     with refusal(r"no pixel of 'small' reaches"):
         part(light, torch.zeros_like(wanted))
 
 
-def test_tuning_finds_the_least_error_of_a_grid_or_better(light: Headlight, wanted: torch.Tensor) -> None:
+def test_tuning_finds_the_least_error_of_a_grid_or_better(light, wanted):
     some = part(light, wanted)
     control = TextureControl(some)
 

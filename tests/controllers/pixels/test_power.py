@@ -10,7 +10,7 @@ from tests.refusal import refusal
 LAMP = idealised(8, 20)
 
 
-def test_a_power_limit_dims_all_alike_and_tells_by_how_much() -> None:
+def test_a_power_limit_dims_all_alike_and_tells_by_how_much():
     u, power = torch.tensor([[0.5, 1.0], [0.1, 0.1]]), torch.tensor([2.0, 4.0])
     dimmed, factor = limit_power(u, power, 2.5)
     assert factor.tolist() == [0.5, 1.0]
@@ -20,7 +20,7 @@ def test_a_power_limit_dims_all_alike_and_tells_by_how_much() -> None:
         limit_power(u, power, -1.0)
 
 
-def test_flux_of_pixels_adds_up_to_the_lamp_s() -> None:
+def test_flux_of_pixels_adds_up_to_the_lamp_s():
     y, z = LAMP.tangents(torch.float64, torch.device("cpu"))
     area = (LAMP.left - LAMP.right) * (LAMP.top - LAMP.bottom) / LAMP.n_texels
     light = LAMP.light_texture(torch.ones(LAMP.n_pixels)).double()

@@ -13,7 +13,7 @@ from tests.refusal import refusal
 
 
 @pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.3, 0.2)])
-def test_a_symbol_is_read_by_the_driver_and_turned_by_roll_within_pitch(roll: float, pitch: float) -> None:
+def test_a_symbol_is_read_by_the_driver_and_turned_by_roll_within_pitch(roll, pitch):
     """Image row 0 is the far end, column 0 is on the left: far left, far right, near left, near right."""
     drawn = road_symbol(torch.tensor([17.0, 0.5, roll, pitch]).double(), 0.1, 2.0, 4.0, torch.ones(2, 3), 1.0, "u_abs")
     R = Rotation.from_euler("YX", [pitch, roll]).as_matrix()
@@ -27,7 +27,7 @@ def board(x: float, **changes) -> Primitives:
     return rectangle(origin, d1, d2, **{"value": 1.0, "quantity": "I_v", **changes})
 
 
-def test_lists_are_put_together_and_taken_apart() -> None:
+def test_lists_are_put_together_and_taken_apart():
     image = torch.rand(3, 4)
     first = concatenate(board(10, weight=2.0, symbol=image), board(11, forced=True, priority=3, modules=("left",)))
     both = concatenate(first, road_symbol(torch.zeros(5, 4), 0.0, 1.0, 1.0, image, 0.5, "E_v"))
@@ -45,14 +45,14 @@ def test_lists_are_put_together_and_taken_apart() -> None:
     assert len(shared.symbols) == 2 and shared.symbol_of.tolist() == [0, 1, 0], "an image of several is kept once"
 
 
-def test_a_module_draws_what_names_it_its_lamp_or_nobody() -> None:
+def test_a_module_draws_what_names_it_its_lamp_or_nobody():
     scene = concatenate(board(10), board(11, modules=("left",)), board(12, modules=("lores", "hires")), board(13, modules=("right lores",)))
     assert scene.for_module("left lores").origin[:, 0].tolist() == [10, 11, 12]
     assert scene.for_module("right lores").origin[:, 0].tolist() == [10, 12, 13]
     assert scene.for_module("right auxiliary high beam").origin[:, 0].tolist() == [10]
 
 
-def test_observers_go_with_their_primitives() -> None:
+def test_observers_go_with_their_primitives():
     eye = torch.tensor([[-1.0, 0.0, 1.5]], dtype=torch.float64)
     seen = replace(board(10), observer=Observer(eye, eye + 1, eye + 2, eye + 3, torch.tensor([True])))
     both = concatenate(board(11), seen)
@@ -61,7 +61,7 @@ def test_observers_go_with_their_primitives() -> None:
     assert concatenate(board(10), board(11)).observer is None
 
 
-def test_vectors_may_be_sequences_and_take_the_precision_of_the_tensors_beside_them() -> None:
+def test_vectors_may_be_sequences_and_take_the_precision_of_the_tensors_beside_them():
     for like in (torch.float32, torch.float64):
         corner = torch.tensor([10.1, 1.0, 0.0], dtype=like)
         beside = (torch.tensor([0.0, -1.7, 0.0], dtype=like), torch.tensor([-2.0, 0.0, 0.0], dtype=like))
@@ -74,7 +74,7 @@ def test_vectors_may_be_sequences_and_take_the_precision_of_the_tensors_beside_t
     np.testing.assert_allclose(board(10).normal, [[1, 0, 0]])
 
 
-def test_what_is_no_primitive_is_refused_by_a_sentence() -> None:
+def test_what_is_no_primitive_is_refused_by_a_sentence():
     with refusal(r"no quantity 'lux'.*I_v, E_v, u_abs, u_rel"):
         board(10, quantity="lux")
     with refusal(r"shape \[3, 4, 5\]"):

@@ -62,7 +62,7 @@ def plain(scene: Primitives, T: Tensor) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("quantity", ["u_abs", "E_v"])
-def test_rays_are_those_solved_one_by_one_and_pass_where_an_image_is_transparent(seed: int, quantity: str) -> None:
+def test_rays_are_those_solved_one_by_one_and_pass_where_an_image_is_transparent(seed, quantity):
     scene = opaque = random_scene(seed, quantity)
     opacity = torch.from_numpy(np.random.default_rng(seed).random((4, 5, 7)))
     scene = replace(scene, symbols=tuple(torch.stack([image, alpha]) for image, alpha in zip(scene.symbols, opacity, strict=True)))
@@ -79,7 +79,7 @@ def test_rays_are_those_solved_one_by_one_and_pass_where_an_image_is_transparent
 
 
 @pytest.mark.parametrize(("dtype", "gap_m"), [(torch.float32, 1e-4), (torch.float64, 1e-12)])
-def test_a_panel_before_a_wall_wins(dtype: torch.dtype, gap_m: float) -> None:
+def test_a_panel_before_a_wall_wins(dtype, gap_m):
     """Only what rounding cannot tell apart, 0.03 mm at 30 m in float32, lies in one plane; there the later one wins."""
     wall = facing(30.0, value=0.7)
     for gap, order in ((0.002, False), (gap_m, False), (gap_m / 10, True)):
@@ -92,7 +92,7 @@ def test_a_panel_before_a_wall_wins(dtype: torch.dtype, gap_m: float) -> None:
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_in_any_plane_the_later_wins_and_not_what_rounding_brings_nearer(dtype: torch.dtype) -> None:
+def test_in_any_plane_the_later_wins_and_not_what_rounding_brings_nearer(dtype):
     generator = np.random.default_rng(0)
     met = 0
     for _ in range(300):
@@ -117,7 +117,7 @@ def test_in_any_plane_the_later_wins_and_not_what_rounding_brings_nearer(dtype: 
     assert met > 10_000
 
 
-def test_back_faces_and_what_lies_behind_the_lamp_are_not_hit() -> None:
+def test_back_faces_and_what_lies_behind_the_lamp_are_not_hit():
     scene = primitives(facing(10))
     assert trace(scene, LAMP, T_ORIGIN).hit.all()
     assert not trace(replace(scene, normal=-scene.normal), LAMP, T_ORIGIN).hit.any()
@@ -130,7 +130,7 @@ def test_back_faces_and_what_lies_behind_the_lamp_are_not_hit() -> None:
     [((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), ((0.0, 0.0, 0.0), (0.0, 0.0, -2.0)), ((30.0, 0.0, 0.0), (0.0, 0.0, -2.0))],
     ids=["none", "line", "edge-on"],
 )
-def test_what_has_no_area_to_the_lamp_is_not_hit(d1: tuple, d2: tuple, weight: float, device: torch.device) -> None:
+def test_what_has_no_area_to_the_lamp_is_not_hit(d1, d2, weight, device):
     """By a batch as by a single scene, and another one behind it is hit as if it were not there."""
     alone = rectangle((8.0, 0.0, 1.0), d1, d2, 0.0, normal=(-1.0, 0.0, 0.0), weight=weight, symbol=torch.eye(3)).to(device)
     scene = concatenate(alone, primitives(facing(20.0, 0.5), dtype=torch.float32).to(device))
@@ -154,7 +154,7 @@ def cut(setpoints: Setpoints, w: Window) -> tuple[Tensor, Tensor]:
 
 @settings(max_examples=100)
 @given(road_poses)
-def test_projected_window_holds_every_hit(pose: tuple[float, float, float, float]) -> None:
+def test_projected_window_holds_every_hit(pose):
     scene = road_symbol(torch.tensor(pose), 0.0, 2.0, 4.0, torch.rand(4, 4), 1.0, "u_abs")
     all_rays = trace(scene, LAMP, T_LEFT)
     (window,) = projected_windows(scene, LAMP, T_LEFT)
@@ -168,7 +168,7 @@ def test_projected_window_holds_every_hit(pose: tuple[float, float, float, float
         torch.testing.assert_close(banded.value, value, rtol=1e-5, atol=1e-6)
 
 
-def test_window_is_tight_and_cut_where_it_reaches_behind() -> None:
+def test_window_is_tight_and_cut_where_it_reaches_behind():
     wall = primitives(facing(10, half=0.3))
     (window,) = projected_windows(wall, LAMP, T_ORIGIN)
     hit = torch.nonzero(trace(wall, LAMP, T_ORIGIN).hit)
@@ -181,7 +181,7 @@ def test_window_is_tight_and_cut_where_it_reaches_behind() -> None:
 
 
 @pytest.mark.parametrize("quantity", ["u_abs", "E_v"])
-def test_gradient_survives_rays_along_the_plane(quantity: str) -> None:
+def test_gradient_survives_rays_along_the_plane(quantity):
     lamp = idealised(5, 4, texels_per_pixel=(1, 2), top_deg=5, bottom_deg=-5)
     assert lamp.tangents(torch.float32, torch.device("cpu"))[1][2] == 0, "the middle row looks along the road"
     pose = torch.tensor([17.0, 0.0, 0.0, 0.0], requires_grad=True)

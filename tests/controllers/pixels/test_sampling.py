@@ -22,7 +22,7 @@ T = pose_from_degrees((0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("sampling", get_args(Sampling))
-def test_samples_are_those_of_the_reference(sampling: str) -> None:
+def test_samples_are_those_of_the_reference(sampling):
     light = lamp("hd84").modules[0].headlight
     entries = light.matrix.transpose
     weights = sample_weights(entries, light, sampling)
@@ -36,7 +36,7 @@ def test_samples_are_those_of_the_reference(sampling: str) -> None:
         assert dict(zip(texels, weights[mine].tolist(), strict=True)) == pytest.approx(expected)
 
 
-def test_a_rectangle_keeps_the_pixel_s_light_and_fills_its_box() -> None:
+def test_a_rectangle_keeps_the_pixel_s_light_and_fills_its_box():
     A = np.zeros((1, 30))
     A[0, [7, 8, 13]] = [4.0, 2.0, 1.9]  # 5 x 6 texels: two in row 1, one in row 2, which is below half of the peak
     A[0, 14] = 2.5
@@ -51,7 +51,7 @@ def test_a_rectangle_keeps_the_pixel_s_light_and_fills_its_box() -> None:
     assert (filled > 0).all() and filled.sum() == pytest.approx(3) and filled[0, 1] < 2e-3
 
 
-def test_simplified_pixels_draw_a_homogeneous_wall() -> None:
+def test_simplified_pixels_draw_a_homogeneous_wall():
     light = lamp("hd84").modules[0].headlight
     wall = rectangle((10.0, 100.0, 100.0), (0.0, -200.0, 0.0), (0.0, 0.0, -200.0), 0.5, "u_abs", normal=(-1.0, 0.0, 0.0))
     u = Ssc.prepare(light, MrpcParams(shape="rectangle", mapping="direct", a_x=0.5)).utilisation(wall, T).u

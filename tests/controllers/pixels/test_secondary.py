@@ -23,14 +23,14 @@ def box(x: float, y: float, z: float, size: tuple[float, float, float] = (0.2, 0
     return Body("box", trimesh.creation.box(size), track=PoseTrack.static(pose_from_degrees((x, y, z))))
 
 
-def test_three_times_the_light_takes_three_quarters() -> None:
+def test_three_times_the_light_takes_three_quarters():
     """The example of T 7.5.1."""
     brighter = PotentialLight(LAMP, 3 * LEFT.full, LEFT.T_world_headlight)
     taken = shares([brighter, LEFT], torch.tensor([[20.0], [0.6], [0.3]], dtype=torch.float64))
     torch.testing.assert_close(taken[:, 0], torch.tensor([0.75, 0.25], dtype=torch.float64))
 
 
-def test_beside_and_behind_a_lamp_there_is_none_of_its_light() -> None:
+def test_beside_and_behind_a_lamp_there_is_none_of_its_light():
     """Where x is zero too: the other lamp takes all there."""
     beside = LEFT.T_world_headlight[:3, 3].float()[:, None] + torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-5.0, 0.0, 0.0]]).T
     assert (LEFT.possible(beside) == 0).all()
@@ -38,7 +38,7 @@ def test_beside_and_behind_a_lamp_there_is_none_of_its_light() -> None:
     assert shares([LEFT, ahead], beside)[:, 0].tolist() == [0.0, 1.0]
 
 
-def test_an_observer_does_not_see_behind_a_box() -> None:
+def test_an_observer_does_not_see_behind_a_box():
     occluded = scene_caster(Scene((Body("road", trimesh.creation.box((1000, 1000, 0.02))), box(10, 0, 1, (1, 2, 2)))).at(0.0))
     eye = torch.tensor([0.0, 0.0, 1.2], dtype=torch.float64)
     points = torch.tensor([[5.0, 20, 20, 9.5], [0, 0, 5, 0], [0, 0, 0, 1]], dtype=torch.float64)  # the last lies on the box
@@ -47,7 +47,7 @@ def test_an_observer_does_not_see_behind_a_box() -> None:
     assert visible_from(batch, eye, occluded).tolist() == [[True, False, True, True], [True, True, False, True]]
 
 
-def test_an_observer_sees_out_of_their_own_body() -> None:
+def test_an_observer_sees_out_of_their_own_body():
     occluded = scene_caster(Scene((Body("road", trimesh.creation.box((1, 1, 1))), box(8, 0, 0.85, (1.8, 0.5, 1.7)))).at(0.0))
     eye = torch.tensor([8.0, 0.0, 1.6], dtype=torch.float64)
     assert visible_from(torch.tensor([[15.0], [0.6], [0.0]], dtype=torch.float64), eye, occluded).all()
@@ -82,7 +82,7 @@ def inner() -> torch.Tensor:
 
 
 @pytest.mark.parametrize("street", [(), (StreetLamp(position_m=(15.0, 0.0, 6.0), intensity_cd=100.0),)], ids=["dark", "street lamp"])
-def test_two_lamps_and_street_lamps_give_together_what_is_wanted(street: tuple) -> None:
+def test_two_lamps_and_street_lamps_give_together_what_is_wanted(street):
     """Within 3 %: a pixel averages over the rays that it lights, between which the setpoint changes."""
     points = inner()
     light = illuminance(points, carpet(), street)

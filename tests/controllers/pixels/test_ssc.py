@@ -31,7 +31,7 @@ def road_primitive(pose: tuple[float, ...] | Tensor, quantity: Quantity = "u_abs
     return road_symbol(pose, 0.0, 3.0, 8.0, SYMBOL.to(pose), value, quantity)
 
 
-def test_a_base_pattern_that_goes_out_is_dark_again() -> None:
+def test_a_base_pattern_that_goes_out_is_dark_again():
     """Only then is the band known, which spares what follows most of the lamp; light is the same either way."""
     lit = torch.full((LAMP.n_pixels,), 0.3)
     ssc, primitive = Ssc.prepare(LAMP), road_primitive(TARGET)
@@ -45,7 +45,7 @@ def test_a_base_pattern_that_goes_out_is_dark_again() -> None:
     assert outside.any() and not plain.u[outside].any()
 
 
-def test_light_that_is_changed_by_its_user_changes_no_controller() -> None:
+def test_light_that_is_changed_by_its_user_changes_no_controller():
     default = torch.rand(LAMP.n_pixels, generator=torch.Generator().manual_seed(3))
     ssc, before = Ssc.prepare(LAMP, default=default), default.clone()
     for pose in (TARGET, OUT_OF_SIGHT):
@@ -54,7 +54,7 @@ def test_light_that_is_changed_by_its_user_changes_no_controller() -> None:
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_light_is_in_the_dtype_of_the_lamp(dtype: torch.dtype) -> None:
+def test_light_is_in_the_dtype_of_the_lamp(dtype):
     lamp = replace(LAMP, matrix=LAMP.matrix.to(dtype))
     default = torch.full((LAMP.n_pixels,), 0.3, dtype=dtype)
     for controller in (Ssc.prepare(lamp, default=default), Jpo.prepare(lamp, default=default)):
@@ -68,7 +68,7 @@ def test_light_is_in_the_dtype_of_the_lamp(dtype: torch.dtype) -> None:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_values_that_are_not_finite_are_refused(value: float) -> None:
+def test_values_that_are_not_finite_are_refused(value):
     """One of them would spread over the pixels of its whole batch."""
     primitive = road_primitive(TARGET, value=1.0)
     broken = concatenate(primitive, replace(primitive, value=torch.tensor([value])))
@@ -94,7 +94,7 @@ def lit_road(lamp: Headlight, u: Tensor, x: Tensor, y: Tensor) -> Tensor:
     return light.view(x.shape)
 
 
-def test_the_road_gets_the_illuminance_that_was_asked_for() -> None:
+def test_the_road_gets_the_illuminance_that_was_asked_for():
     lamp = idealised(60, 40)
     x, y = torch.meshgrid(torch.linspace(15, 19, 81), torch.linspace(-1, 1, 21), indexing="ij")
     primitive = road_symbol(torch.tensor(TARGET), 0.0, 4.0, 8.0, torch.ones(1, 1), 1.5, "E_v")
@@ -106,7 +106,7 @@ def test_the_road_gets_the_illuminance_that_was_asked_for() -> None:
     assert light.mean().item() == pytest.approx(1.5, rel=0.005)
 
 
-def test_light_lies_on_the_symbol_and_not_beside_it() -> None:
+def test_light_lies_on_the_symbol_and_not_beside_it():
     lamp = idealised(60, 120)
     x, y = torch.meshgrid(torch.linspace(13, 24, 111), torch.linspace(-2, 2, 81), indexing="ij")
     primitive = road_symbol(torch.tensor(TARGET), 0.0, 2.0, 4.0, torch.ones(1, 1), 1.0, "u_abs")
@@ -120,7 +120,7 @@ def test_light_lies_on_the_symbol_and_not_beside_it() -> None:
 
 
 @pytest.mark.parametrize("batch", [(), (2,)])
-def test_pose_gradients_are_those_of_differences(batch: tuple[int, ...]) -> None:
+def test_pose_gradients_are_those_of_differences(batch):
     ssc = Ssc.prepare(replace(LAMP, matrix=LAMP.matrix.to(torch.float64)))
     smooth = torch.hann_window(64, periodic=False, dtype=torch.float64)
     symbol = smooth[:, None] * smooth  # dark at the outline, so that hits and misses join without a step
@@ -135,7 +135,7 @@ def test_pose_gradients_are_those_of_differences(batch: tuple[int, ...]) -> None
 
 @pytest.mark.parametrize(("quantity", "value"), [("u_abs", 0.8), ("I_v", 3000.0), ("E_v", 20.0)])
 @pytest.mark.parametrize("params", [MrpcParams(), MrpcParams(a_r=2.0), MrpcParams(a_d=1.5)])
-def test_utilisations_are_those_of_the_whole_lamp(quantity: Quantity, value: float, params: MrpcParams) -> None:
+def test_utilisations_are_those_of_the_whole_lamp(quantity, value, params):
     ssc = Ssc.prepare(LAMP, params)
     primitives = [road_primitive(pose, quantity, value) for pose in (TARGET, (18.0, 0.4, 0.01, 0.0), (15.5, -0.3, -0.02, 0.0))]
     assert window_suffices(ssc, primitives[0], T_LEFT)
@@ -151,7 +151,7 @@ def test_utilisations_are_those_of_the_whole_lamp(quantity: Quantity, value: flo
         torch.testing.assert_close(part.utilisation(casting), expected[part.pixels], rtol=1e-6, atol=1e-7)
 
 
-def test_what_needs_more_than_a_windows_products_is_told() -> None:
+def test_what_needs_more_than_a_windows_products_is_told():
     one, dark = road_primitive(TARGET), Ssc.prepare(LAMP)
     assert not window_suffices(dark.over(torch.full((LAMP.n_pixels,), 0.1)), one, T_LEFT), "a base beam shines beside it"
     assert not window_suffices(dark, concatenate(one, one), T_LEFT)

@@ -122,7 +122,7 @@ def random_case(seed: int) -> tuple[Headlight, np.ndarray, Primitives, torch.Ten
 
 @settings(max_examples=150)
 @given(st.integers(0, 2**32 - 1), parameters, st.booleans())
-def test_equals_the_reference(seed: int, params: MrpcParams, asks: bool) -> None:
+def test_equals_the_reference(seed, params, asks):
     light, A, scene, default = random_case(seed)
     secondary, asked = random_secondary(np.random.default_rng(seed), light, A) if asks else (None, None)
     ssc = Ssc.prepare(light, params, default)
@@ -153,7 +153,7 @@ def stacked(scenes: list[Primitives]) -> Primitives:
 @pytest.mark.parametrize("a_x", [0.0, 0.3])
 @pytest.mark.parametrize("bounds", [{}, {"upper_cd": 400.0, "a_m": 0.5}], ids=["products", "entries"])
 @pytest.mark.parametrize("asks", [False, True], ids=["primary", "secondary"])
-def test_float32_on_every_device(asks: bool, a_x: float, bounds: dict[str, float], device: torch.device) -> None:
+def test_float32_on_every_device(asks, a_x, bounds, device):
     off = 0
     for seed in range(15):
         light, A, scene, default = random_case(seed)
@@ -169,7 +169,7 @@ def test_float32_on_every_device(asks: bool, a_x: float, bounds: dict[str, float
     assert off <= 4
 
 
-def test_a_list_in_any_order_gives_the_same_light() -> None:
+def test_a_list_in_any_order_gives_the_same_light():
     """No two lie in one plane here, where the order would decide."""
     light, _, scene, default = random_case(7)
     ssc = Ssc.prepare(light, MrpcParams(), default)
@@ -179,7 +179,7 @@ def test_a_list_in_any_order_gives_the_same_light() -> None:
     torch.testing.assert_close(ssc.utilisation(scene, T).u, ssc.utilisation(backwards, T).u, rtol=0, atol=1e-12)
 
 
-def test_gradients_in_many_primitives_are_those_of_differences() -> None:
+def test_gradients_in_many_primitives_are_those_of_differences():
     generator = np.random.default_rng(5)
     light, _ = random_lamp(generator)
     scene = concatenate(*(random_primitive(generator) for _ in range(3)))

@@ -15,7 +15,7 @@ def matrix(n: int, width: int, device: torch.device) -> torch.Tensor:
 
 
 @pytest.mark.parametrize(("n", "width"), [(30, 6), (8, 6), (6, 6)])  # a band that is narrow, and one of a grid of two rows
-def test_bands_are_whole_matrices(n: int, width: int, device: torch.device) -> None:
+def test_bands_are_whole_matrices(n, width, device):
     A, right = matrix(n, width, device), torch.linspace(-1, 1, n, dtype=torch.float64, device=device)
     band = registration.band_of(A, width)
     assert torch.equal(registration.whole(band), A)

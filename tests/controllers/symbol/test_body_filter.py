@@ -5,7 +5,7 @@ import torch
 from luxloop.controllers.symbol.heights.body_filter import BODY, CELL_M, BodyFilter, BodyParams, exact
 
 
-def test_a_measurement_gets_its_share_by_the_covariances() -> None:
+def test_a_measurement_gets_its_share_by_the_covariances():
     cells, drawn = 4, torch.Generator().manual_seed(0)
     n = BODY + 2 * cells
     root = torch.randn(n, n, generator=drawn, dtype=torch.float64)

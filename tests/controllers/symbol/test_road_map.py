@@ -46,13 +46,13 @@ NOTHING = RoadMap(
 )
 
 
-def test_road_that_comes_into_the_region_is_as_bright_as_the_assumed_one() -> None:
+def test_road_that_comes_into_the_region_is_as_bright_as_the_assumed_one():
     at_border = replace(NOTHING, brightness=torch.tensor([40.0, 1.0, 40.0, 1.0]))  # bright on the left
     turned = at_border.move(pose(torch.tensor([0.0, 1.0, 0.0]).double(), torch.eye(3).double()), at_border.eye)
     torch.testing.assert_close(turned.brightness, torch.tensor([1.0, 40.0, 1.0, 40.0]), rtol=0, atol=1.0)
 
 
-def test_a_late_look_rates_the_heights_that_it_shows() -> None:
+def test_a_late_look_rates_the_heights_that_it_shows():
     road_map = of_heights(of_heights(of_heights(NOTHING, 0.25), 0.5), 0.75)
     road_map = looked(road_map, 0.25, 0.02)
     road_map = looked(road_map, 0.5, 0.01)
@@ -61,7 +61,7 @@ def test_a_late_look_rates_the_heights_that_it_shows() -> None:
     assert road_map.candidate_of(projection(1.0)) is None
 
 
-def test_after_looks_that_are_no_better_the_best_heights_are_kept_until_their_own_light_says_that_the_road_changed() -> None:
+def test_after_looks_that_are_no_better_the_best_heights_are_kept_until_their_own_light_says_that_the_road_changed():
     road_map = looked(of_heights(of_heights(NOTHING, 0.25), 0.5), 0.25, 0.01)
     for _ in range(PATIENCE):
         assert road_map.kept is not None and not road_map.kept.done
@@ -74,7 +74,7 @@ def test_after_looks_that_are_no_better_the_best_heights_are_kept_until_their_ow
         assert changed.kept is not None and not changed.kept.done
 
 
-def test_a_road_lies_as_before_until_its_heights_its_brightness_or_the_eye_are_others() -> None:
+def test_a_road_lies_as_before_until_its_heights_its_brightness_or_the_eye_are_others():
     before = of_heights(NOTHING, 0.25)
     drawing = Drawing()
     drawn = keeping(1, drawing.of)
@@ -88,7 +88,7 @@ def test_a_road_lies_as_before_until_its_heights_its_brightness_or_the_eye_are_o
         assert drawn(other.bare()) is not drawn(before.bare())
 
 
-def test_looks_that_heights_explain_less_than_a_flat_road_do_not_count() -> None:
+def test_looks_that_heights_explain_less_than_a_flat_road_do_not_count():
     road_map = of_heights(NOTHING, 0.25)
     assert looked(road_map, 0.25, math.inf).kept is None
     road_map = looked(road_map, 0.25, 0.01)
@@ -97,7 +97,7 @@ def test_looks_that_heights_explain_less_than_a_flat_road_do_not_count() -> None
     assert road_map.kept is not None and road_map.kept.observations == 0
 
 
-def test_the_same_drawing_is_remembered_once_and_old_ones_are_forgotten() -> None:
+def test_the_same_drawing_is_remembered_once_and_old_ones_are_forgotten():
     road_map = of_heights(of_heights(NOTHING, 0.25), 0.25)
     assert len(road_map.drawn) == 1
     for k in range(2, 2 * IN_FLIGHT):

@@ -89,7 +89,7 @@ def measure(watcher: SymbolSensor, shown: Tensor, step: int | None = None) -> Me
 
 @pytest.mark.parametrize("symbol", SYMBOLS)
 @pytest.mark.parametrize("edges", ["grey", "binary"])
-def test_signs_of_the_four_errors_in_the_camera_image(symbol: str, edges: str) -> None:
+def test_signs_of_the_four_errors_in_the_camera_image(symbol, edges):
     y_by_x, x_by_y, roll, pitch = sensor(symbol, RAW, edges).model.gains.tolist()
     assert y_by_x < 0, "farther is higher in the image"
     assert x_by_y < 0, "left is left"
@@ -98,7 +98,7 @@ def test_signs_of_the_four_errors_in_the_camera_image(symbol: str, edges: str) -
 
 
 @pytest.mark.parametrize("symbol", SYMBOLS)
-def test_in_the_birds_eye_view_a_metre_is_a_metre(symbol: str) -> None:
+def test_in_the_birds_eye_view_a_metre_is_a_metre(symbol):
     gains = sensor(symbol, PLANE).model.gains
     # Along the symbol there are some 40 px and lamp rows: a tenth of one over a probe of 0.6 m is 2 %, more with strokes across.
     assert_close(gains[:1], torch.tensor([-1.0]), rtol=0.04, atol=0)
@@ -111,9 +111,7 @@ offsets = st.tuples(st.floats(-6, 10), st.floats(-2, 2), st.floats(-0.12, 0.12),
 
 
 @given(offsets, st.floats(0, 1), st.floats(0, 1), st.floats(-0.15, 0.15), st.none() | st.floats(-0.2, 0.2), st.booleans())
-def test_footprint_holds_what_the_lamp_can_draw_on_an_uneven_road(
-    offset: tuple, u: float, v: float, height_m: float, z: float | None, warped: bool
-) -> None:
+def test_footprint_holds_what_the_lamp_can_draw_on_an_uneven_road(offset, u, v, height_m, z, warped):
     pose = (TARGET + torch.tensor(offset)).double()
     view = camera_view(CAMERA)
     larger = Warp(torch.zeros(1, 2, 2, 2), torch.ones(1, 2, 2), (7.2, 2.6)) if warped else None
@@ -134,7 +132,7 @@ def test_footprint_holds_what_the_lamp_can_draw_on_an_uneven_road(
 
 @pytest.mark.parametrize("what", [RAW, PLANE], ids=["raw", "birdseye"])
 @pytest.mark.parametrize("symbol", SYMBOLS)
-def test_at_the_target_there_is_no_error(symbol: str, what: FeatureParams) -> None:
+def test_at_the_target_there_is_no_error(symbol, what):
     seen = measure(sensor(symbol, what), TARGET)
     assert seen.code == ExtractionStatus.SEEN
     # Twelve bits of quantisation are all that differs from the model: they average out to a few thousandths of a pixel.
@@ -144,7 +142,7 @@ def test_at_the_target_there_is_no_error(symbol: str, what: FeatureParams) -> No
 
 @pytest.mark.parametrize("what", [RAW, PLANE], ids=["raw", "birdseye"])
 @pytest.mark.parametrize("k", range(4))
-def test_errors_are_scaled_to_metres_and_radians(what: FeatureParams, k: int) -> None:
+def test_errors_are_scaled_to_metres_and_radians(what, k):
     offset = torch.zeros(4)
     offset[k] = (0.4, 0.2, math.radians(2), math.radians(-0.5))[k]
     seen = measure(sensor("snowflake", what), TARGET + offset)
@@ -153,7 +151,7 @@ def test_errors_are_scaled_to_metres_and_radians(what: FeatureParams, k: int) ->
     assert seen.pose_error[k].item() == pytest.approx(offset[k].item(), rel=linear)
 
 
-def test_a_batch_is_a_loop_of_singles() -> None:
+def test_a_batch_is_a_loop_of_singles():
     poses = TARGET + torch.tensor([[0.0, 0, 0, 0], [0.5, -0.2, 0.02, 0.0], [0.0, 30.0, 0, 0]])
     batch = measure(sensor(), poses)
     assert batch.errors.shape == batch.pose_error.shape == (3, 4)
@@ -165,7 +163,7 @@ def test_a_batch_is_a_loop_of_singles() -> None:
     assert batch.code.tolist() == [ExtractionStatus.SEEN, ExtractionStatus.SEEN, ExtractionStatus.NOTHING]
 
 
-def test_light_beside_the_footprint_is_ignored() -> None:
+def test_light_beside_the_footprint_is_ignored():
     watcher, lights = sensor(), projector().light(TARGET)
     clean = measure(watcher, TARGET)
     glare = watcher.model.luminance(lights)
@@ -175,7 +173,7 @@ def test_light_beside_the_footprint_is_ignored() -> None:
     assert_close(seen.errors, clean.errors, rtol=0, atol=0)
 
 
-def test_reasons_for_loss() -> None:
+def test_reasons_for_loss():
     watcher, lights = sensor(), projector().light(TARGET)
     symbol = watcher.model.luminance(lights)
     left_part = symbol * (torch.arange(CAMERA.width_px) < 0.47 * CAMERA.width_px)
@@ -217,7 +215,7 @@ RATES = torch.tensor([1.5, 0.9, math.radians(2.4), math.radians(1.35)])
 START = torch.tensor([15.0, 0.8, math.radians(5), math.radians(-2)])
 
 
-def test_controllers_go_by_name() -> None:
+def test_controllers_go_by_name():
     assert set(CONTROLLERS) == {"luxloop", "open", "feedforward", "thesis_pid", "gauss_newton", "model_reference"}
     for name, params in CONTROLLERS.items():
         assert params().name == name
@@ -226,7 +224,7 @@ def test_controllers_go_by_name() -> None:
 
 
 @given(st.lists(st.tuples(st.tuples(*[st.floats(-1e3, 1e3)] * 4), st.sampled_from(list(ExtractionStatus))), max_size=12))
-def test_limits_are_never_exceeded(reports: list) -> None:
+def test_limits_are_never_exceeded(reports):
     controller, state = thesis_pid(), thesis_pid().start(START)
     for pose_error, code in reports:
         before = pose_of(controller, state)
@@ -238,7 +236,7 @@ def test_limits_are_never_exceeded(reports: list) -> None:
         assert was_reset or ((pose - before).abs() <= RATES + slack).all()
 
 
-def test_holds_while_frames_are_missing() -> None:
+def test_holds_while_frames_are_missing():
     controller = thesis_pid()
     state = controller.step(controller.start(START), report(torch.full((4,), 0.05)))
     held = state
@@ -250,7 +248,7 @@ def test_holds_while_frames_are_missing() -> None:
 
 
 @pytest.mark.parametrize("reason", [ExtractionStatus.NOTHING, ExtractionStatus.TOO_SMALL, ExtractionStatus.TOO_LARGE])
-def test_starts_anew_at_the_flat_road_pose_after_two_losses(reason: ExtractionStatus) -> None:
+def test_starts_anew_at_the_flat_road_pose_after_two_losses(reason):
     controller = thesis_pid()
     lost, missing = report(torch.full((4,), torch.nan), reason), report(torch.full((4,), torch.nan), ExtractionStatus.NO_FRAME)
     once = controller.step(controller.start(START), lost)
@@ -269,7 +267,7 @@ def test_starts_anew_at_the_flat_road_pose_after_two_losses(reason: ExtractionSt
     assert controller.step(seen, report(torch.tensor([0.0, 0.0, torch.nan, 0.0]))).losses == 1, "an error that is no number is one"
 
 
-def test_a_batch_of_states_equals_singles(device: torch.device) -> None:
+def test_a_batch_of_states_equals_singles(device):
     generator = torch.Generator().manual_seed(1)
     errors = torch.randn(6, 5, 4, generator=generator) * 0.2
     codes = torch.randint(0, 5, (6, 5), generator=generator)
@@ -284,7 +282,7 @@ def test_a_batch_of_states_equals_singles(device: torch.device) -> None:
     assert state.losses.tolist() == [int(single.losses) for single in singles]
 
 
-def test_open_loop_ignores_everything() -> None:
+def test_open_loop_ignores_everything():
     controller = build_controller(OpenLoopParams(), sensor())
     state = controller.start(START)
     for code in ExtractionStatus:
@@ -320,12 +318,12 @@ CLOSE = torch.tensor([0.01, 0.005, math.radians(0.05), math.radians(0.02)])
 
 @pytest.mark.parametrize("what", [RAW, PLANE], ids=["raw", "birdseye"])
 @pytest.mark.parametrize("symbol", SYMBOLS)
-def test_the_loop_closes_on_a_flat_road(symbol: str, what: FeatureParams) -> None:
+def test_the_loop_closes_on_a_flat_road(symbol, what):
     poses = run(sensor(symbol, what), START)
     assert ((poses[-5:].mean(0) - TARGET).abs() < CLOSE).all()
 
 
-def test_a_fifth_degree_of_freedom_is_one_entry_and_its_keys(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fifth_degree_of_freedom_is_one_entry_and_its_keys(monkeypatch):
     """With an entry for yaw, poses, features, gains and errors have five numbers, and the PIDs turn the symbol back."""
 
     class YawParams(ThesisPidParams):
@@ -353,7 +351,7 @@ def test_a_fifth_degree_of_freedom_is_one_entry_and_its_keys(monkeypatch: pytest
     assert yaw.of_pose(pose_from_degrees((0.0, 0.0, 0.0), yaw_deg=3.0)) == pytest.approx(math.radians(3.0))
 
 
-def test_the_loop_closes_with_two_lamps_and_survives_dropped_frames() -> None:
+def test_the_loop_closes_with_two_lamps_and_survives_dropped_frames():
     poses = run(sensor("snowflake", PLANE, n_lamps=2), START, steps=40, drop_every=3)
     assert torch.equal(poses[2], poses[1])
     assert ((poses[-5:].mean(0) - TARGET).abs() < CLOSE).all()

@@ -59,7 +59,7 @@ def seen_along_rays(picture: Tensor, points: Tensor) -> Tensor:
     return picture[v.long().clamp(0, 179), u.long().clamp(0, 319)]
 
 
-def test_rays_ask_for_the_light_of_what_the_camera_sees_along_them() -> None:
+def test_rays_ask_for_the_light_of_what_the_camera_sees_along_them():
     function, now = MaterialParams(lights=LIGHTS), seen()
     standing, lying = drawn(function, now)
     grid = idealised(120, 400)
@@ -84,7 +84,7 @@ def test_rays_ask_for_the_light_of_what_the_camera_sees_along_them() -> None:
         assert not bool((found.hit & alone).any())  # skin has no light here, and what stands is not lit by the road's picture
 
 
-def test_the_first_light_that_is_meant_counts_and_albedo_chooses_too() -> None:
+def test_the_first_light_that_is_meant_counts_and_albedo_chooses_too():
     now = seen()
     paint = MaterialParams(lights=[{"albedo": [0.5, 1.0], "lx": 9.0}, {"lx": 1.0}])
     state = paint.step(None, situation(seen=now))
@@ -92,7 +92,7 @@ def test_the_first_light_that_is_meant_counts_and_albedo_chooses_too() -> None:
     assert bool(state.lx[now.material == -1].isnan().all())
 
 
-def test_nothing_is_drawn_before_anything_is_seen_and_without_materials_it_is_refused() -> None:
+def test_nothing_is_drawn_before_anything_is_seen_and_without_materials_it_is_refused():
     function = MaterialParams(lights=LIGHTS)
     assert function.adapted(function.start(), situation()) == ()
     assert len(drawn(function.model_copy(update={"road_m": None}), seen())) == 1
@@ -100,7 +100,7 @@ def test_nothing_is_drawn_before_anything_is_seen_and_without_materials_it_is_re
         function.step(None, situation(seen=replace(seen(), material=None)))
 
 
-def test_the_image_plane_is_the_cameras_image() -> None:
+def test_the_image_plane_is_the_cameras_image():
     eye, corner, right, down = image_plane(VIEW)
     assert_close(eye, VIEW.origin)
     points = torch.stack([corner, corner + right + down, corner + right / 2 + down / 2], 1)
@@ -111,6 +111,6 @@ def test_the_image_plane_is_the_cameras_image() -> None:
 @pytest.mark.parametrize(
     "light", [{"lx": 1.0, "luminance_cd_m2": 1.0}, {}, {"lx": 1.0, "albedo": [0.5, 0.5]}, {"lx": 1.0, "materials": ["velvet"]}]
 )
-def test_lights_that_are_none_are_refused(light: dict[str, object]) -> None:
+def test_lights_that_are_none_are_refused(light):
     with pytest.raises(ValidationError):
         MaterialParams(lights=[light])

@@ -43,7 +43,7 @@ def courses(reflectance: float, ambient_lx: float, zone: ZoneParams) -> list[flo
 
 @settings(max_examples=25)
 @given(reflectance=st.floats(0.05, 0.8), ambient_lx=st.floats(0.0, 0.3), target=st.floats(0.05, 1.5))
-def test_a_zone_comes_within_5_percent_in_10_steps_over_all_reflectances(reflectance: float, ambient_lx: float, target: float) -> None:
+def test_a_zone_comes_within_5_percent_in_10_steps_over_all_reflectances(reflectance, ambient_lx, target):
     zone = ZoneParams(**WALL | {"luminance_cd_m2": target})
     if reflectance / math.pi * ambient_lx > 0.9 * target:
         return  # the lamps cannot take light away
@@ -51,7 +51,7 @@ def test_a_zone_comes_within_5_percent_in_10_steps_over_all_reflectances(reflect
     assert luminance[10] == pytest.approx(target, rel=0.05)
 
 
-def test_what_no_lamp_can_give_does_not_wind_up() -> None:
+def test_what_no_lamp_can_give_does_not_wind_up():
     grid = idealised(40, 80)
     lights = (
         ("left", PotentialLight.of(grid, pose_from_degrees((0, 0.6, 0.75)))),
@@ -71,7 +71,7 @@ def test_what_no_lamp_can_give_does_not_wind_up() -> None:
     assert lx[zone] == pytest.approx(2 * lx[alone], rel=0.01)
 
 
-def test_more_than_the_camera_can_measure_is_not_asked_for() -> None:
+def test_more_than_the_camera_can_measure_is_not_asked_for():
     zone = ZoneParams(**WALL | {"luminance_cd_m2": 2 * saturation_luminance(CAMERA)})
     state = zone.start()
     assert zone.step(state, measured(100.0, 0)).lx == pytest.approx(state.lx)
@@ -79,7 +79,7 @@ def test_more_than_the_camera_can_measure_is_not_asked_for() -> None:
     assert bright.step(bright.start(), measured(100.0, 0)).lx < 0.5  # too bright by more than can be said, but too bright
 
 
-def test_a_zone_that_is_not_in_the_image_keeps_its_light() -> None:
+def test_a_zone_that_is_not_in_the_image_keeps_its_light():
     zone = ZoneParams(**WALL | {"centre_m": (-20.0, 0.0, 1.0)})
     state = zone.start()
     assert zone.step(state, measured(0.1, 0)) is state
@@ -87,7 +87,7 @@ def test_a_zone_that_is_not_in_the_image_keeps_its_light() -> None:
 
 
 @pytest.mark.parametrize("size_m", [(0.0, 2.0, 1.5), (3.0, 2.0, 0.0), (2.0, 0.0, 1.0), (1.0, 2.0, 1.5)])
-def test_light_is_asked_for_on_the_side_that_looks_at_the_lamps(size_m: tuple[float, float, float]) -> None:
+def test_light_is_asked_for_on_the_side_that_looks_at_the_lamps(size_m):
     zone = ZoneParams(**WALL | {"size_m": size_m, "centre_m": (20.0, 4.0, 0.2), "yaw_deg": 30.0})
     (light,) = zone.adapted(zone.start(), now())
     middle = light.corners()[0].mean(0)
@@ -96,7 +96,7 @@ def test_light_is_asked_for_on_the_side_that_looks_at_the_lamps(size_m: tuple[fl
     assert float(light.value) == zone.start_lx and int(light.quantity) == E_V
 
 
-def test_the_region_of_a_box_is_the_hull_of_its_corners() -> None:
+def test_the_region_of_a_box_is_the_hull_of_its_corners():
     T, high = pose_from_degrees((15.0, 1.0, 0.5), 10, 20, 40), torch.tensor([1.0, 0.7, 0.4], dtype=torch.float64)
     region = box_region(VIEW, T, -high, high)
     signs = torch.tensor([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)], dtype=torch.float64).T
@@ -110,6 +110,6 @@ def test_the_region_of_a_box_is_the_hull_of_its_corners() -> None:
 
 
 @pytest.mark.parametrize(("key", "value"), [("size_m", (0.0, 2.0, 0.0)), ("size_m", (-1.0, 2.0, 1.0)), ("luminance_cd_m2", 0.0)])
-def test_zones_that_are_none_are_refused(key: str, value: object) -> None:
+def test_zones_that_are_none_are_refused(key, value):
     with pytest.raises(ValidationError, match=key):
         ZoneParams(**WALL | {key: value})

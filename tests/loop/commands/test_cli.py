@@ -17,7 +17,7 @@ from luxloop import load, run
 from luxloop.loop.commands import cli
 from luxloop.loop.scenario import data, listing
 from luxloop.world.opencrg import Crg
-from tests.loop.conftest import FILE, Lux, assert_refused
+from tests.loop.conftest import FILE, assert_refused
 from tests.world.opencrg.writer import write_crg
 
 ROOT = Path(__file__).parents[3]
@@ -42,7 +42,7 @@ LISTED = {
 
 
 @pytest.mark.parametrize(("kind", "some"), LISTED.items())
-def test_each_kind_is_listed_for_people_and_for_programs(lux: Lux, kind: str, some: set[str]) -> None:
+def test_each_kind_is_listed_for_people_and_for_programs(lux, kind, some):
     code, out, _ = lux("list", kind)
     assert code == 0 and all(name in out for name in some)
     listed = {each["name"]: each for each in json.loads(lux("list", kind, "--json")[1])}
@@ -51,13 +51,13 @@ def test_each_kind_is_listed_for_people_and_for_programs(lux: Lux, kind: str, so
     assert all(set(each) == keys and each["description"] for each in listed.values())
 
 
-def test_scenarios_are_listed_with_their_controllers_and_other_functions(lux: Lux) -> None:
+def test_scenarios_are_listed_with_their_controllers_and_other_functions(lux):
     uses = {each["name"]: each["uses"] for each in json.loads(lux("list", "--json")[1])}
     assert uses["snowflake"] == ["thesis_pid"] and uses["gfhb"] == ["glare_free"]
     assert uses["held_on_the_move"] == ["luxloop", "glare_free", "object_based"]
 
 
-def test_check_and_tune_take_a_controller(lux: Lux) -> None:
+def test_check_and_tune_take_a_controller(lux):
     assert "symbol (symbol, held by thesis_pid)" in lux("check", "small.toml", "--controller", "thesis_pid")[1]
     assert_refused(lux("check", "small.toml", "--controller", "thesis_pdi"), "did you mean 'thesis_pid'?")
     line = "tune small.toml --key functions.symbol.controller.position.kp=0.1:1 --trials 2 --jobs 1 --device cpu"
@@ -66,7 +66,7 @@ def test_check_and_tune_take_a_controller(lux: Lux) -> None:
     assert code == 0 and ("--controller thesis_pid --set" in out or "no trial is better" in out)
 
 
-def test_check_for_programs_says_what_was_found_and_what_is_wrong(lux: Lux) -> None:
+def test_check_for_programs_says_what_was_found_and_what_is_wrong(lux):
     def checked(*arguments: str) -> dict[str, Any]:
         code, out, error = lux("check", *arguments, "--json")
         found = json.loads(out)
@@ -83,7 +83,7 @@ def test_check_for_programs_says_what_was_found_and_what_is_wrong(lux: Lux) -> N
     assert not checked("small.toml", "--set", "camera.bitz=8")["ok"]
 
 
-def test_check_says_how_much_of_a_target_the_lamps_cannot_reach(lux: Lux) -> None:
+def test_check_says_how_much_of_a_target_the_lamps_cannot_reach(lux):
     code, out, _ = lux("check", "small.toml", "--set", "functions.symbol.x_m=12.0")
     note = re.search(r"\nnote: (\d+) % of the target of functions.symbol lies beyond the lower border of the lamps' field; (.*)\n$", out)
     assert code == 0 and note and note[2] == "raise functions.symbol.x_m"
@@ -102,7 +102,7 @@ def test_check_says_how_much_of_a_target_the_lamps_cannot_reach(lux: Lux) -> Non
     ],
     ids=" ".join,
 )
-def test_command_imports_nothing_heavy_that_it_does_not_use(command: list[str], heavy: tuple[str, ...], tmp_path: Path) -> None:
+def test_command_imports_nothing_heavy_that_it_does_not_use(command, heavy, tmp_path):
     program = f"import sys\nfrom luxloop.loop.commands import cli\ncli.main({command})\nprint(sorted({set(heavy)} & set(sys.modules)))"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
@@ -110,7 +110,7 @@ def test_command_imports_nothing_heavy_that_it_does_not_use(command: list[str], 
 
 
 @pytest.mark.parametrize("command", ["check", "run", "check --json"])
-def test_several_errors_have_a_line_each(lux: Lux, command: str) -> None:
+def test_several_errors_have_a_line_each(lux, command):
     code, _, error = lux(*command.split(), "small.toml", "--set", "camera.bits=9", "road.kind=bumpz", "steps=0")
     assert code == 2
     first, *lines = error.splitlines()
@@ -171,7 +171,7 @@ MENDED = {  # what is said of a command line
 
 
 @pytest.mark.parametrize(("arguments", "named"), MENDED.items())
-def test_what_the_user_can_mend_is_one_sentence_and_leaves_nothing_behind(lux: Lux, tmp_path: Path, arguments: str, named: str) -> None:
+def test_what_the_user_can_mend_is_one_sentence_and_leaves_nothing_behind(lux, tmp_path, arguments, named):
     cv2.imwrite("black.png", np.zeros((8, 8), np.uint8))
     Path("text.png").write_text("no picture")
     Path("empty.png").touch()
@@ -187,23 +187,23 @@ def test_what_the_user_can_mend_is_one_sentence_and_leaves_nothing_behind(lux: L
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device here")
-def test_device_that_is_not_there(lux: Lux) -> None:
+def test_device_that_is_not_there(lux):
     assert_refused(lux("run", "small.toml", "--device", "cuda"), "device cuda", "cpu")
 
 
-def test_check(lux: Lux) -> None:
+def test_check(lux):
     code, out, error = lux("check", "small.toml", "--set", "steps=5")
     assert (code, error) == (0, "") and out.startswith("small.toml: ok (5 steps, road flat, base beam off, functions symbol (symbol, ")
 
 
-def test_schema_is_json(lux: Lux) -> None:
+def test_schema_is_json(lux):
     code, out, _ = lux("schema")
     found = json.loads(out)
     assert code == 0 and found["required"] == ["name"] and found["properties"]["steps"]["minimum"] == 1
     assert {"functions", "lighting"} <= set(found["properties"]) and "image" in found["$defs"]["SymbolFunctionParams"]["required"]
 
 
-def test_list_names_missing_data_and_how_to_get_it(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_list_names_missing_data_and_how_to_get_it(lux, tmp_path, monkeypatch):
     paved = tmp_path / "paved.toml"
     symbol = 'functions.symbol = {kind = "symbol", image = "snowflake", controller = "open"}\n'
     paved.write_text('name = "paved"\ndescription = "On stones."\nroad = {file = "belgian_block"}\n' + symbol)
@@ -220,7 +220,7 @@ def test_list_names_missing_data_and_how_to_get_it(lux: Lux, tmp_path: Path, mon
     assert "luxloop data get" not in lux("list")[1]
 
 
-def test_data_commands(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_data_commands(lux, tmp_path, monkeypatch):
     fetched: list[tuple[str, Path | None]] = []
 
     def get(name: str, directory: Path | None = None) -> data.Download:
@@ -237,7 +237,7 @@ def test_data_commands(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert len(fetched) == 1 + len(data.registry())
 
 
-def test_the_working_folder_runs_no_code(tmp_path: Path) -> None:
+def test_the_working_folder_runs_no_code(tmp_path):
     """Neither in the workers of a campaign nor by what draws its report; Jupyter's backend of Matplotlib is not asked for."""
     ran = tmp_path / "ran"
     for name in ("joblib.py", "threading.py", "torch.py"):
@@ -257,7 +257,7 @@ def test_the_working_folder_runs_no_code(tmp_path: Path) -> None:
     assert (done.returncode, ran.exists()) == (0, False), done.stderr
 
 
-def test_process_starts_quickly_and_takes_a_closed_pipe_calmly() -> None:
+def test_process_starts_quickly_and_takes_a_closed_pipe_calmly():
     """What help and lists import is what makes them slow: torch alone takes a second."""
     program = (
         "import sys; from luxloop.loop.commands.cli import main\n"

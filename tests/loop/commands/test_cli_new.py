@@ -8,10 +8,10 @@ import pytest
 
 from luxloop import Scenario, load
 from luxloop.loop.scenario.shipped import examples, scenario_files
-from tests.loop.conftest import Lux, assert_refused
+from tests.loop.conftest import assert_refused
 
 
-def test_new_scenario_is_valid_and_shows_the_defaults(lux: Lux, tmp_path: Path) -> None:
+def test_new_scenario_is_valid_and_shows_the_defaults(lux, tmp_path):
     code, out, _ = lux("new", "my.toml")
     assert code == 0 and "luxloop run my.toml" in out
     scenario = load("my.toml")
@@ -29,13 +29,13 @@ def test_new_scenario_is_valid_and_shows_the_defaults(lux: Lux, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("like", scenario_files())
-def test_new_scenario_like_a_shipped_one_differs_in_its_name_alone_if_at_all(lux: Lux, like: str) -> None:
+def test_new_scenario_like_a_shipped_one_differs_in_its_name_alone_if_at_all(lux, like):
     assert lux("new", "my.toml", "--like", like)[0] == lux("new", "--like", like)[0] == 0
     assert load("my.toml").model_copy(update={"name": like}) == load(f"{like}.toml") == load(like)
 
 
 @pytest.mark.parametrize("like", examples())
-def test_every_example_can_be_copied_from_where_luxloop_is_installed(lux: Lux, like: str) -> None:
+def test_every_example_can_be_copied_from_where_luxloop_is_installed(lux, like):
     code, out, _ = lux("new", "--like", like)
     assert code == 0 and "first lines" in out
     assert Path(like).read_text("utf-8") == examples()[like].read_text("utf-8")
@@ -53,12 +53,12 @@ def test_every_example_can_be_copied_from_where_luxloop_is_installed(lux: Lux, l
         ("new my.toml --traffic 1 --like gfhb", "one of the two"),
     ],
 )
-def test_new_that_cannot_be_is_refused(lux: Lux, tmp_path: Path, arguments: str, words: str) -> None:
+def test_new_that_cannot_be_is_refused(lux, tmp_path, arguments, words):
     assert_refused(lux(*arguments.split()), words)
     assert [each.name for each in tmp_path.iterdir()] == ["small.toml"]
 
 
-def test_new_night_is_valid_and_its_traffic_comes_from_the_seed(lux: Lux) -> None:
+def test_new_night_is_valid_and_its_traffic_comes_from_the_seed(lux):
     assert lux("new", "a.toml", "--traffic", "7")[0] == lux("new", "b.toml", "--traffic", "8")[0] == 0
     a, b = load("a.toml"), load("b.toml")
     assert len(a.all_objects) > 5 and a.all_objects != b.all_objects and a.surface != b.surface

@@ -9,12 +9,12 @@ import pandas as pd
 import pytest
 
 from luxloop import LuxloopError, Simulation
-from tests.loop.conftest import FILE, Lux
+from tests.loop.conftest import FILE
 
 FILES = {"manifest.json", "trajectory.parquet", "summary.json", "report.png", "video.mp4"}
 
 
-def test_run_replay_and_what_differs(lux: Lux, tmp_path: Path) -> None:
+def test_run_replay_and_what_differs(lux, tmp_path):
     code, out, error = lux("run", "small.toml", "--steps", "4", "--seed", "7", "--set", "camera.bits=8", "camera.gamma=2.2")
     assert (code, error) == (0, "")
     folder = tmp_path / "runs" / "small"
@@ -41,7 +41,7 @@ def test_run_replay_and_what_differs(lux: Lux, tmp_path: Path) -> None:
     assert "edited" in out and re.search(r"x_m +0 +18 +18.5 ", out)
 
 
-def test_controller_starts_with_its_defaults_and_set_comes_on_top(lux: Lux, tmp_path: Path) -> None:
+def test_controller_starts_with_its_defaults_and_set_comes_on_top(lux, tmp_path):
     (tmp_path / "small.toml").write_text(FILE.replace('"luxloop"', '{ name = "thesis_pid", x_rate_m = 0.1 }'))
     arguments = ["run", "small.toml", "--no-video", "--steps", "1", "--out", "a"]
     assert lux(*arguments, "--controller", "thesis_pid", "--set", "functions.symbol.controller.y_rate_m=0.2")[0] == 0
@@ -50,7 +50,7 @@ def test_controller_starts_with_its_defaults_and_set_comes_on_top(lux: Lux, tmp_
     assert {path.name for path in (tmp_path / "a").iterdir()} == FILES - {"video.mp4"}
 
 
-def test_interrupt_keeps_the_steps_that_were_done(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupt_keeps_the_steps_that_were_done(lux, tmp_path, monkeypatch):
     steps = Simulation.run
 
     def run(simulation: Simulation):  # type: ignore[no-untyped-def]
@@ -69,7 +69,7 @@ def test_interrupt_keeps_the_steps_that_were_done(lux: Lux, tmp_path: Path, monk
     assert len(pd.read_parquet(folder / "trajectory.parquet")) == 2
 
 
-def test_interrupt_before_the_first_step(lux: Lux, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupt_before_the_first_step(lux, monkeypatch):
     def prepare(*_: object) -> Simulation:
         raise KeyboardInterrupt
 
@@ -78,7 +78,7 @@ def test_interrupt_before_the_first_step(lux: Lux, monkeypatch: pytest.MonkeyPat
     assert not Path("runs").exists()
 
 
-def test_failure_in_the_midst_keeps_the_steps_and_says_why(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failure_in_the_midst_keeps_the_steps_and_says_why(lux, tmp_path, monkeypatch):
     steps = Simulation.run
 
     def run(simulation: Simulation):  # type: ignore[no-untyped-def]

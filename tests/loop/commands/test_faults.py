@@ -94,7 +94,7 @@ def half_written(folder: Path) -> list[Path]:
 
 
 @pytest.mark.parametrize("how", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
-def test_a_signal_ends_a_run_with_all_its_files(folder: Path, how: signal.Signals) -> None:
+def test_a_signal_ends_a_run_with_all_its_files(folder, how):
     """At a terminal, which shows what is still being done."""
     ours, theirs = pty.openpty()
     run = Command(folder, "run", "small.toml", "--out", "out", terminal=os.ttyname(theirs))
@@ -124,7 +124,7 @@ def test_a_signal_ends_a_run_with_all_its_files(folder: Path, how: signal.Signal
         pytest.param("video.mp4", 30_000, ["--video", "--set", "camera.width_px=320", "camera.height_px=180"], marks=pytest.mark.slow),
     ],
 )
-def test_a_file_that_cannot_grow_ends_a_run_as_failed(folder: Path, largest: str, room: int, options: list[str]) -> None:
+def test_a_file_that_cannot_grow_ends_a_run_as_failed(folder, largest, room, options):
     code, said = Command(folder, "run", "small.toml", "--out", "out", *options, largest_file=room).ended()
     last = said.splitlines()[-1]
     assert code == 2 and last.startswith(f"error: out/{largest}: cannot be written (File too large)"), said
@@ -133,7 +133,7 @@ def test_a_file_that_cannot_grow_ends_a_run_as_failed(folder: Path, largest: str
     assert steps_kept(folder / "out") > 0
 
 
-def test_a_frame_that_has_no_room_ends_a_run_as_failed(folder: Path) -> None:
+def test_a_frame_that_has_no_room_ends_a_run_as_failed(folder):
     options = ["--no-video", "--frames", "--set", "camera.width_px=640", "camera.height_px=360"]  # frames of 280 000 bytes
     code, said = Command(folder, "run", "small.toml", "--out", "out", *options, largest_file=60_000).ended()
     error = "error: out/frames/frame_00000000.png: cannot be written (File too large); check the folder, its permissions and the room left"
@@ -141,7 +141,7 @@ def test_a_frame_that_has_no_room_ends_a_run_as_failed(folder: Path) -> None:
     assert said.count("error") == 1 and status(folder / "out") == "failed" and not half_written(folder)
 
 
-def test_a_full_disk_ends_a_run_as_failed(folder: Path) -> None:
+def test_a_full_disk_ends_a_run_as_failed(folder):
     """A disk on which not one page is left."""
     (folder / "disk").mkdir()
     namespace = ["unshare", "-Urm", "sh", "-c"]
@@ -163,7 +163,7 @@ def test_a_full_disk_ends_a_run_as_failed(folder: Path) -> None:
     assert steps_kept(folder / "seen") > 0
 
 
-def test_one_run_has_a_folder_for_itself_until_it_is_killed(folder: Path) -> None:
+def test_one_run_has_a_folder_for_itself_until_it_is_killed(folder):
     first = Command(folder, "run", "small.toml", "--out", "out")
     first.until((folder / "out" / "trajectory.parquet").exists)
     code, said = Command(folder, "run", "small.toml", "--out", "out", "--steps", "1").ended()
@@ -186,7 +186,7 @@ def study(folder: Path) -> optuna.Study:
 
 
 @pytest.mark.slow
-def test_two_tunes_share_the_trials_asked_for(folder: Path) -> None:
+def test_two_tunes_share_the_trials_asked_for(folder):
     both = [Command(folder, *TUNE, "--trials", "5", *QUICK) for _ in range(2)]
     assert [each.ended()[0] for each in both] == [0, 0]
     trials = study(folder).trials
@@ -196,7 +196,7 @@ def test_two_tunes_share_the_trials_asked_for(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_tune_that_was_killed_goes_on_at_once(folder: Path) -> None:
+def test_a_tune_that_was_killed_goes_on_at_once(folder):
     """From a journal that is locked, a trial that never ends and a line that was cut off."""
     journal = folder / "out" / STUDY
     killed = Command(folder, *TUNE, "--trials", "1000", *QUICK)
@@ -218,7 +218,7 @@ def test_a_tune_that_was_killed_goes_on_at_once(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_training_that_is_stopped_leaves_nothing_half_done(folder: Path) -> None:
+def test_training_that_is_stopped_leaves_nothing_half_done(folder):
     out, rows = folder / "out", folder / "out" / "scenes.jsonl"
 
     def train(epochs: str) -> Command:

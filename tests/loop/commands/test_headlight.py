@@ -27,7 +27,7 @@ def lux(lux: Loop, tmp_path: Path) -> Lux:
     return lambda line: lux("headlight", *line.split())
 
 
-def test_facts_of_a_preset(lux: Lux) -> None:
+def test_facts_of_a_preset(lux):
     code, out, _ = lux("info hd84")
     assert code == 0
     assert all(fact in out for fact in ("3 x 28", "low", "full", " cd", " lm", "Guessed", "mean utilisation", "100.0%"))
@@ -37,7 +37,7 @@ def test_facts_of_a_preset(lux: Lux) -> None:
     assert out.splitlines()[1].startswith("The module LoRes alone")
 
 
-def test_a_beam_goes_out_as_a_photometric_file_and_comes_back(lux: Lux) -> None:
+def test_a_beam_goes_out_as_a_photometric_file_and_comes_back(lux):
     code, out, _ = lux("export hd84 --beam high --out high.ies --step-deg 0.5")
     assert code == 0 and "high.ies written: hd84, beam high" in out
     file = read_photometry(Path("high.ies"))
@@ -51,7 +51,7 @@ def test_a_beam_goes_out_as_a_photometric_file_and_comes_back(lux: Lux) -> None:
     assert code == 0 and checked.count("pass") == original.count("pass")
 
 
-def test_a_photometric_file_is_checked_by_its_own_table(lux: Lux) -> None:
+def test_a_photometric_file_is_checked_by_its_own_table(lux):
     angles = np.arange(-90.0, 91)
     peak = 30_200 * np.exp(-0.12 * (abs(angles)[:, None] + abs(angles)))
     write("hv.ies", Distribution("A", angles, angles, peak))
@@ -62,13 +62,13 @@ def test_a_photometric_file_is_checked_by_its_own_table(lux: Lux) -> None:
         assert lux(line)[2].count("'END'") == 1
 
 
-def test_a_failing_beam_is_told_by_the_exit_code_and_the_worst_point(lux: Lux) -> None:
+def test_a_failing_beam_is_told_by_the_exit_code_and_the_worst_point(lux):
     code, out, _ = lux("check hd84 --beam full --rule r112-passing-b")
     assert code == 1
     assert "requirements fail" in out and "B50L" in out and "-3.43, +0.57" in out
 
 
-def test_a_rule_without_a_beam_checks_the_beam_that_it_is_for(lux: Lux) -> None:
+def test_a_rule_without_a_beam_checks_the_beam_that_it_is_for(lux):
     for rule, beam in (("r149-passing-c", "low"), ("r149-driving-b", "high"), ("r123-oncoming-50m", "high")):
         assert f"hd84, beam {beam}" in lux(f"check hd84 --rule {rule}")[1]
     lux("export hd84 --beam high --out high.ies --step-deg 1")
@@ -77,7 +77,7 @@ def test_a_rule_without_a_beam_checks_the_beam_that_it_is_for(lux: Lux) -> None:
     assert code == 2 and "has no low beam" in err and "--rule" in err and "headlight rules" in err
 
 
-def test_a_description_is_built_into_a_file_that_every_command_takes(lux: Lux) -> None:
+def test_a_description_is_built_into_a_file_that_every_command_takes(lux):
     code, out, _ = lux(f"build {EXAMPLE} --out my.npz")
     assert code == 0 and "my.npz written" in out and "of r149-passing-c" in out
     assert lux("info my.npz")[0] == 0
@@ -117,12 +117,12 @@ IMPOSSIBLE = {  # what is said of a command line
 
 
 @pytest.mark.parametrize(("line", "words"), IMPOSSIBLE.items())
-def test_what_cannot_be_done_is_one_sentence(lux: Lux, line: str, words: str) -> None:
+def test_what_cannot_be_done_is_one_sentence(lux, line, words):
     assert_refused(lux(line), words)
     assert not list(Path().iterdir())
 
 
-def test_a_lighting_scenario_shows_what_it_makes_of_the_lamp(lux: Lux) -> None:
+def test_a_lighting_scenario_shows_what_it_makes_of_the_lamp(lux):
     code, out, _ = lux("show hd84 --scenario gfhb --time-s 1.5 --view pixels --out driven.png")
     assert code == 0 and "beam gfhb at 1.5 s" in out
     assert lux("show hd84 --beam high --view pixels --out high.png")[0] == 0
@@ -130,7 +130,7 @@ def test_a_lighting_scenario_shows_what_it_makes_of_the_lamp(lux: Lux) -> None:
     assert driven.shape == high.shape and (driven != high).mean() > 0.02
 
 
-def test_the_lights_of_a_scenario_are_those_of_its_run() -> None:
+def test_the_lights_of_a_scenario_are_those_of_its_run():
     scenario = load("gfhb", ["headlight.model=hd84", "headlight.intensity_cd=1000"])
     shown = lights_by_side(scenario, "hd84", 0.3)[0]
     for side, u in zip(("left", "right"), Simulation.prepare(scenario).at(3).lights, strict=True):
@@ -138,7 +138,7 @@ def test_the_lights_of_a_scenario_are_those_of_its_run() -> None:
         torch.testing.assert_close(shown[side][0], u, rtol=1e-6, atol=1e-7)
 
 
-def test_a_symbol_that_is_held_is_shown_where_its_control_is_by_then() -> None:
+def test_a_symbol_that_is_held_is_shown_where_its_control_is_by_then():
     scenario = load("flat", ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "renderer=raycast", "steps=3"])
     results = list(Simulation.prepare(scenario).evaluations())
     for step in (0, 2):
@@ -147,7 +147,7 @@ def test_a_symbol_that_is_held_is_shown_where_its_control_is_by_then() -> None:
     assert (results[0].lights[0] - results[2].lights[0]).abs().max() > 0.5
 
 
-def test_modules_that_a_scenario_leaves_out_are_dark_and_so_is_its_other_lamp(tmp_path: Path) -> None:
+def test_modules_that_a_scenario_leaves_out_are_dark_and_so_is_its_other_lamp(tmp_path):
     save(tmp_path / "two.npz", Lamp("two", (Module("wide", idealised(4, 8)), Module("narrow", idealised(2, 4)))))
     given = ["lighting.base.beam=full", "functions={}", 'headlight.lamps=["right"]', 'headlight.modules=["narrow"]']
     scenario = load("gfhb", given)
@@ -155,7 +155,7 @@ def test_modules_that_a_scenario_leaves_out_are_dark_and_so_is_its_other_lamp(tm
     assert list(shown) == ["right"] and [u.tolist() for u in shown["right"]] == [[0.0] * 32, [1.0] * 8]
 
 
-def test_a_photometric_file_is_drawn_as_it_was_measured_and_other_options_are_refused(lux: Lux) -> None:
+def test_a_photometric_file_is_drawn_as_it_was_measured_and_other_options_are_refused(lux):
     lux("export hd84 --beam full --out full.ies --step-deg 1")
     assert_refused(lux("show full.ies --beam low"), "--beam", "--view")
     assert not Path("full.png").exists() and lux("show full.ies --view wall --side left")[0] == 0
@@ -163,7 +163,7 @@ def test_a_photometric_file_is_drawn_as_it_was_measured_and_other_options_are_re
     assert code == 0 and "full.png written" in out and cv2.imread("full.png") is not None
 
 
-def test_traffic_on_the_left_gets_beams_of_its_own(lux: Lux) -> None:
+def test_traffic_on_the_left_gets_beams_of_its_own(lux):
     right, left = (lux(f"check ssl-hd-lores --traffic {side}")[1] for side in ("right", "left"))
     assert right.count("pass") == left.count("pass")
     lux("export hd84 --out right.ies --step-deg 0.5")
@@ -173,7 +173,7 @@ def test_traffic_on_the_left_gets_beams_of_its_own(lux: Lux) -> None:
     assert abs(left - right).max() > 0.1 * right.max()
 
 
-def test_beams_of_a_lamp_file_stay_for_traffic_on_the_left(lux: Lux) -> None:
+def test_beams_of_a_lamp_file_stay_for_traffic_on_the_left(lux):
     lux(f"build {EXAMPLE} --out my.npz")
     code, _, err = lux("show my.npz --view pixels --traffic left")
     assert code == 0 and err.startswith("warning: lamp ") and "stay as they are" in err and err.count("\n") == 1

@@ -58,7 +58,7 @@ def wall(lux: Lux) -> Lux:
     return lux
 
 
-def test_rig_is_calibrated_and_its_lamp_digitised(wall: Lux) -> None:
+def test_rig_is_calibrated_and_its_lamp_digitised(wall):
     code, out, err = wall("rig", "calibrate", "wall.toml", "--screen-m", "5.95", "--set", "camera.yaw_deg=-1.3")
     assert (code, err) == (0, "")
     assert "camera.hfov_deg=12" in out and "located, left matrix" in out
@@ -82,7 +82,7 @@ def test_rig_is_calibrated_and_its_lamp_digitised(wall: Lux) -> None:
     assert all(file.read_bytes() == data for file, data in before.items())  # as it was without an interruption
 
 
-def test_a_board_on_the_screen_tells_how_far_it_is(wall: Lux) -> None:
+def test_a_board_on_the_screen_tells_how_far_it_is(wall):
     keys = ["camera.width_px=320", "camera.height_px=240"]
     rig_scene = RigScene(load_scenario("wall.toml", keys), FaultParams())
     laid = BoardView.of(BoardFaultParams(columns=5, rows=7, square_mm=120), rig_scene).image(None)
@@ -123,19 +123,19 @@ def page(board: BoardParams = BOARD[0], legacy: bool = False, rows: int | None =
         (page(rows=2), "one line"),
     ],
 )
-def test_a_picture_that_cannot_be_used_is_named_with_the_reason(wall: Lux, picture: np.ndarray, words: str) -> None:
+def test_a_picture_that_cannot_be_used_is_named_with_the_reason(wall, picture, words):
     cv2.imwrite("screen.png", picture)
     assert_refused(wall("rig", "calibrate", "wall.toml", "--on-screen", "screen.png"), "screen.png: ", words)
     assert not list(Path().glob("rig*"))
 
 
-def test_boards_of_low_contrast_and_of_old_opencv_are_read() -> None:
+def test_boards_of_low_contrast_and_of_old_opencv_are_read():
     dim, old = corners((100 + page() / 20).astype(np.uint8), BOARD[0]), corners(page(BOARD[1], legacy=True), BOARD[1])
     assert isinstance(dim, Corners) and len(dim.board) == 70
     assert isinstance(old, Corners) and len(old.board) == 63
 
 
-def test_frontal_boards_determine_no_lens(wall: Lux) -> None:
+def test_frontal_boards_determine_no_lens(wall):
     Path("boards").mkdir()
     for k in range(6):
         cv2.imwrite(f"boards/{k}.png", np.roll(page(), (5 * k, 50 * k), (0, 1)))
@@ -146,7 +146,7 @@ def test_frontal_boards_determine_no_lens(wall: Lux) -> None:
     assert not list(Path().glob("rig*"))
 
 
-def test_values_are_fitted_to_a_recording(wall: Lux) -> None:
+def test_values_are_fitted_to_a_recording(wall):
     fewer = ["--set", "camera.oversampling=1", "headlight.model=hd84", "camera.hfov_deg=40", "camera.exposure_s=0.02"]
     code, *_ = wall("run", "wall.toml", "--frames", "--no-video", "--no-report", "--out", "taken", *fewer, "objects[0].albedo=0.7")
     assert code == 0
@@ -156,7 +156,7 @@ def test_values_are_fitted_to_a_recording(wall: Lux) -> None:
     assert found == pytest.approx(0.7, rel=0.02)
 
 
-def test_board_is_written(lux: Lux) -> None:
+def test_board_is_written(lux):
     assert lux("rig", "board")[0] == 0
     assert Path("board.pdf").stat().st_size > 1000
 
@@ -181,6 +181,6 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize(("line", "words"), MISTAKES.items())
-def test_mistakes_are_told_in_a_sentence(wall: Lux, line: str, words: str) -> None:
+def test_mistakes_are_told_in_a_sentence(wall, line, words):
     assert_refused(wall("rig", *line.split()), words)
     assert not [each for name in ("rig", "board", "digitised") for each in Path().glob(f"{name}*")]

@@ -2,7 +2,6 @@
 
 import json
 import tomllib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -80,7 +79,7 @@ def said(got: dict[str, Any]) -> str:
     ],
     ids=str,
 )
-def test_a_value_is_taken_of_the_steps_in_the_window_that_have_one(check: dict[str, Any], value: float | None) -> None:
+def test_a_value_is_taken_of_the_steps_in_the_window_that_have_one(check, value):
     got = of([0.2, None, 0.9, None, 0.4], at_least=0.3, **check)
     assert got["value"] == (value if value is None else pytest.approx(value))
     assert got["passed"] is (value is not None and value >= 0.3)
@@ -92,12 +91,12 @@ def test_a_value_is_taken_of_the_steps_in_the_window_that_have_one(check: dict[s
 @pytest.mark.parametrize(
     ("bounds", "holds"), [({"at_least": 0.5}, True), ({"at_most": 0.4}, False), ({"at_least": 0.1, "at_most": 0.5}, True)]
 )
-def test_bounds_hold_the_value_themselves_included(bounds: dict[str, float], holds: bool) -> None:
+def test_bounds_hold_the_value_themselves_included(bounds, holds):
     got = of([0.5], **bounds)
     assert got["passed"] is holds and said(got).endswith("passed" if holds else "failed")
 
 
-def test_a_difference_is_taken_step_by_step() -> None:
+def test_a_difference_is_taken_step_by_step():
     runs, least = ([0.5, 0.9, 0.6, 0.7], [0.6, 0.5, 0.7, 0.6]), {"by": "difference", "take": "min"}
     worst, over = of(*runs, **least, at_least=-0.2), of(*runs, **least, over_s=0.2, at_least=0.1)
     assert worst["difference"] == pytest.approx(-0.1) and worst["passed"] and worst["ratio"] is worst["recall"] is None
@@ -106,14 +105,14 @@ def test_a_difference_is_taken_step_by_step() -> None:
     assert "-0.1 relative to open loop" in said(worst)
 
 
-def test_recall_is_the_share_of_what_the_other_light_finds() -> None:
+def test_recall_is_the_share_of_what_the_other_light_finds():
     got = of([0.0, 0.3, None, 0.9, 0.8], [0.9, 0.2, 0.5, None, 0.0], by="recall", at_least=0.5)
     assert got["recall"] == pytest.approx(1 / 3) and not got["passed"], "one of three that the other finds; out of sight is not found"
     assert "in 33.33 % of the steps" in said(got)
     assert of([0.5], [0.0], by="recall", at_least=0.5)["passed"] is False, "nothing was there to find"
 
 
-def test_a_ratio_has_an_answer_where_there_is_nothing_to_divide_by() -> None:
+def test_a_ratio_has_an_answer_where_there_is_nothing_to_divide_by():
     assert ratio(1.0, 4.0) == 0.25
     assert ratio(0.0, 0.0) == 1.0  # alike
     assert (ratio(2.0, 0.0), ratio(-2.0, 0.0)) == (np.inf, -np.inf)
@@ -132,13 +131,13 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # by what is name
 
 
 @pytest.mark.parametrize("named", REFUSED)
-def test_a_check_that_makes_no_sense_is_refused_before_the_run(named: str) -> None:
+def test_a_check_that_makes_no_sense_is_refused_before_the_run(named):
     kind, given = REFUSED[named]
     with sentence("here: checks.it", named):
         check(validate(with_checks(kind, it=given), "here"), "cpu")
 
 
-def test_open_loop_beside_is_the_run_that_it_would_be_alone() -> None:
+def test_open_loop_beside_is_the_run_that_it_would_be_alone():
     gain = {"metric": IOU, "take": "last", "at_least": 1.0, "compare": "open_loop"}
     scenario = validate(with_checks(SMALL, gain=gain) | {"steps": 3}, "x")
     simulation = Simulation.prepare(scenario)
@@ -156,7 +155,7 @@ def test_open_loop_beside_is_the_run_that_it_would_be_alone() -> None:
     assert got["value"] == table[IOU][-1].as_py() and got["ratio"] == got["value"] / last[IOU]
 
 
-def test_a_run_is_compared_with_full_light_in_the_same_world(tmp_path: Path) -> None:
+def test_a_run_is_compared_with_full_light_in_the_same_world(tmp_path):
     checked = {"flux": FLUX, "car": toml("{ metric = 'objects.car.lx_max', take = 'max', at_most = 0.5, compare = 'full_light' }")}
     dark = toml("{ dark = { metric = 'dark_lx_max', take = 'max', at_most = 0.3 } }")
     scenario = validate(with_checks(LIT, **checked, **dark), "lit")
@@ -173,7 +172,7 @@ def test_a_run_is_compared_with_full_light_in_the_same_world(tmp_path: Path) -> 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in scenario_files() if load(name).checks])
-def test_shipped_scenarios_pass_their_checks(name: str) -> None:
+def test_shipped_scenarios_pass_their_checks(name):
     summary = run(name, device="cpu", video=False, report=False, checks=True).summary
     failed = {key: line for key, line in lines(summary).items() if not line.endswith("passed")}
     assert not failed

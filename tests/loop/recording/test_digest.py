@@ -2,12 +2,10 @@
 
 from pathlib import Path
 
-import pytest
-
 from luxloop.loop.recording import sources
 
 
-def test_the_version_follows_a_file_that_is_added_or_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_version_follows_a_file_that_is_added_or_changed(tmp_path, monkeypatch):
     monkeypatch.setattr(sources, "files", lambda package: tmp_path)
     for package in sources.LAYERS:
         (tmp_path / package).mkdir()
@@ -29,5 +27,5 @@ def test_the_version_follows_a_file_that_is_added_or_changed(tmp_path: Path, mon
         assert len(set(versions)) == (3 if decides else 1), file
 
 
-def test_the_folders_that_only_show_are_there() -> None:
+def test_the_folders_that_only_show_are_there():
     assert all((Path(__file__).parents[3] / each).exists() for each in sources.WITHOUT_EFFECT)

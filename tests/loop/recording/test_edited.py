@@ -34,14 +34,14 @@ def poses(simulation: Simulation, state: SimulationState) -> torch.Tensor:
     return torch.stack([each.symbol.pose for each in stepped(simulation, state, 3)[1]])
 
 
-def test_the_same_values_change_nothing(simulation: Simulation) -> None:
+def test_the_same_values_change_nothing(simulation):
     state, _ = stepped(simulation, simulation.start(), 3)
     assert acts(simulation.scenario, scenario()) == "step"
     expected = poses(simulation, state)
     assert poses(*apply_edit(simulation, state, scenario())).equal(expected)
 
 
-def test_a_gain_holds_from_the_next_step_on_and_the_controller_goes_on(simulation: Simulation) -> None:
+def test_a_gain_holds_from_the_next_step_on_and_the_controller_goes_on(simulation):
     state, _ = stepped(simulation, simulation.start(), 3)
     other = scenario("functions.symbol.controller.position.kp=0.2")
     found = poses(*apply_edit(simulation, state, other))
@@ -51,7 +51,7 @@ def test_a_gain_holds_from_the_next_step_on_and_the_controller_goes_on(simulatio
     assert found[1:, :2].ne(before[1:, :2]).all()
 
 
-def test_functions_come_and_go() -> None:
+def test_functions_come_and_go():
     guarded, plain = (load("gfhb", (*SMALL, *overrides)) for overrides in ((), ("functions={}", "checks={}")))
     simulation = Simulation.prepare(guarded)
     assert acts(guarded, plain) == "step"
@@ -71,12 +71,12 @@ WHEN = {
 
 
 @pytest.mark.parametrize("when", WHEN)
-def test_keys_act_when_it_is_said(when: str) -> None:
+def test_keys_act_when_it_is_said(when):
     before = scenario("headlight.model=ssl-hd")
     assert {key: acts(before, with_overrides(before, [key])) for key in WHEN[when]} == dict.fromkeys(WHEN[when], when)
 
 
-def test_what_has_stayed_is_not_made_anew(simulation: Simulation) -> None:
+def test_what_has_stayed_is_not_made_anew(simulation):
     state = simulation.start()
     after, _ = apply_edit(simulation, state, scenario("functions.symbol.controller.position.kp=0.2"))
     assert after.world is simulation.world and after.modules == simulation.modules
@@ -88,7 +88,7 @@ def test_what_has_stayed_is_not_made_anew(simulation: Simulation) -> None:
     assert fuller.symbol.sensor is after.symbol.sensor and fuller.symbol.evaluator is not after.symbol.evaluator
 
 
-def test_the_world_changes_while_a_run_goes_on(simulation: Simulation) -> None:
+def test_the_world_changes_while_a_run_goes_on(simulation):
     state, _ = stepped(simulation, simulation.start(), 3)
     after, state = apply_edit(simulation, state, scenario("light.ambient_lx=3.0"))
     _, (result,) = stepped(after, state, 1)
@@ -99,12 +99,12 @@ def test_the_world_changes_while_a_run_goes_on(simulation: Simulation) -> None:
     assert luminance.mean() > 5 * simulation.world.lit(0.0).base.mean()
 
 
-def test_a_symbol_that_cannot_be_drawn_is_refused(simulation: Simulation) -> None:
+def test_a_symbol_that_cannot_be_drawn_is_refused(simulation):
     with refusal(r"functions\.symbol"):
         apply_edit(simulation, simulation.start(), scenario("functions.symbol.x_m=400.0"))
 
 
-def test_what_came_between_two_steps_and_is_gone_again_leaves_no_trace(simulation: Simulation) -> None:
+def test_what_came_between_two_steps_and_is_gone_again_leaves_no_trace(simulation):
     state, _ = stepped(simulation, simulation.start(), 3)
     there, back = scenario("functions.symbol.controller=open"), scenario()
     other, _ = apply_edit(simulation, state, there)

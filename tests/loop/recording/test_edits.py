@@ -46,7 +46,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
-def test_a_recording_with_edits_is_repeated_with_them_each_step_by_the_simulation_that_made_it(recorded: Path) -> None:
+def test_a_recording_with_edits_is_repeated_with_them_each_step_by_the_simulation_that_made_it(recorded):
     recording = load(recorded)
     assert [(each.step, each.overrides) for each in recording.edits] == list(EDITS_MADE.items())
     assert recording.scenario == scenario("snowflake", SMALL)
@@ -65,7 +65,7 @@ def test_a_recording_with_edits_is_repeated_with_them_each_step_by_the_simulatio
         (json.dumps([{"step": 1, "overrides": ["functions.own.kind=os:system"]}]), "--allow-code"),
     ],
 )
-def test_damaged_and_foreign_edits_are_refused(recorded: Path, tmp_path: Path, text: str, told: str) -> None:
+def test_damaged_and_foreign_edits_are_refused(recorded, tmp_path, text, told):
     for each in recorded.iterdir():
         (tmp_path / each.name).write_bytes(each.read_bytes())
     (tmp_path / EDITS).write_text(text)

@@ -1,7 +1,6 @@
 """Frames that a run keeps: what its plant was shown and handed over, bit for bit, whole or gone with the recording."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -28,7 +27,6 @@ from luxloop.loop.simulation.frames import (
     write_image,
     write_light,
 )
-from luxloop.loop.simulation.result import StepResult
 from luxloop.perception.camera import CameraParams
 from tests.loop.conftest import SMALL, toml
 
@@ -54,7 +52,7 @@ def same(given: tuple[Sample, ...], others: tuple[Sample, ...]) -> bool:
 
 
 @pytest.mark.parametrize("changes", [{"steps": 4}, pytest.param(DRIVES, marks=pytest.mark.slow)], ids=["stands", "drives"])
-def test_all_that_was_shown_and_came_is_kept_bit_for_bit(changes: dict[str, Any], tmp_path: Path) -> None:
+def test_all_that_was_shown_and_came_is_kept_bit_for_bit(changes, tmp_path):
     simulation = Simulation.prepare(validate({**SMALL, **changes}, "small"))
     with Recorder(tmp_path, simulation, frames=True) as recorder:
         results = list(simulation.evaluations())
@@ -87,7 +85,7 @@ def test_all_that_was_shown_and_came_is_kept_bit_for_bit(changes: dict[str, Any]
     assert light_files <= len(results) + 1, "off exposures share one light"
 
 
-def test_a_warped_drawing_is_kept_bit_for_bit(tmp_path: Path, small_simulation: Simulation) -> None:
+def test_a_warped_drawing_is_kept_bit_for_bit(tmp_path, small_simulation):
     target, generator = small_simulation.symbol.projector.target, torch.Generator().manual_seed(0)
     warp = Warp(torch.rand((1, 2, 8, 4), generator=generator), torch.rand((1, 8, 4), generator=generator), (4.1, 2.3))
     numbers = torch.rand(6, generator=generator)
@@ -100,7 +98,7 @@ def test_a_warped_drawing_is_kept_bit_for_bit(tmp_path: Path, small_simulation: 
     assert again.warp is not None and again.warp.size_m == warp.size_m
 
 
-def test_functions_without_a_symbol_that_is_held_keep_frames(tmp_path: Path) -> None:
+def test_functions_without_a_symbol_that_is_held_keep_frames(tmp_path):
     given = ["camera.width_px=160", "camera.height_px=90", "camera.oversampling=1", "renderer=raycast"]
     seen: list[Any] = []
     run("gfhb", tmp_path, frames=True, video=False, report=False, on_step=seen.append, overrides=given, steps=3)
@@ -114,7 +112,7 @@ def test_functions_without_a_symbol_that_is_held_keep_frames(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(("bits", "dtype", "before"), [(8, np.uint8, np.uint16), (12, np.uint16, np.uint16)])
-def test_frames_of_eight_bits_are_pictures_that_every_program_shows(bits: int, dtype: type, before: type, tmp_path: Path) -> None:
+def test_frames_of_eight_bits_are_pictures_that_every_program_shows(bits, dtype, before, tmp_path):
     camera = CameraParams(width_px=32, height_px=16, bits=bits)
     image = torch.arange(512.0).view(16, 32).remainder(2**bits)
     write_image(tmp_path / "frame.png", image, bits)
@@ -124,9 +122,7 @@ def test_frames_of_eight_bits_are_pictures_that_every_program_shows(bits: int, d
     assert read_image(tmp_path / "frame.png", camera, image).equal(image), "as earlier versions wrote it"
 
 
-def test_old_frames_go_with_their_recording_and_nothing_else(
-    tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]
-) -> None:
+def test_old_frames_go_with_their_recording_and_nothing_else(tmp_path, small_simulation, small_results):
     directory, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
     for results in (small_results[:3], small_results[:1]):
         with Recorder(directory, small_simulation, frames=True) as recorder:
@@ -147,9 +143,7 @@ def test_old_frames_go_with_their_recording_and_nothing_else(
 
 
 @pytest.mark.parametrize("value", [0.5, -1.0, 4096.0, float("nan")])
-def test_frames_that_would_not_be_kept_as_they_are_are_refused(
-    value: float, tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]
-) -> None:
+def test_frames_that_would_not_be_kept_as_they_are_are_refused(value, tmp_path, small_simulation, small_results):
     reception = small_results[0].reception
     before, after, _ = reception.arrivals
     (frame,) = after.frames

@@ -27,7 +27,7 @@ half = { matrix = "half.npy" }
 """
 
 
-def test_every_file_that_decides_is_an_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_file_that_decides_is_an_input(tmp_path, monkeypatch):
     (tmp_path / "pixels").mkdir()
     for name in ("pixels/a.ies", "pixels/b.ies", "spot.ies", "half.npy", "road.crg", "believed.crg"):
         (tmp_path / name).write_text(name)
@@ -59,7 +59,7 @@ def drawn(folder: Path, width: int) -> Path:
     return file
 
 
-def test_a_changed_symbol_is_another_run(symbol: Path) -> None:
+def test_a_changed_symbol_is_another_run(symbol):
     scenario = load("flat", [*SMALL, f"functions.symbol.image={symbol}", "headlight.model=hd84"])
     before, asked, study = figures(scenario, "cpu"), digests(scenario), Task((scenario,), (), parse("iou")).digest
     drawn(symbol.parent, 80)

@@ -15,7 +15,7 @@ from luxloop import Scenario, Utilisation, prepare, run, validate
 from luxloop.loop.recording.frames import FrameRecorder
 from luxloop.loop.recording.labels import LabelRecorder, Labels
 from luxloop.loop.simulation.result import StepResult
-from tests.loop.conftest import Lux, assert_refused
+from tests.loop.conftest import assert_refused
 from tests.refusal import refusal
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation")  # of pycocotools
@@ -59,7 +59,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[StepResu
     return folder, results
 
 
-def test_pycocotools_reads_boxes_classes_and_masks(drive: tuple[Path, list[StepResult]]) -> None:
+def test_pycocotools_reads_boxes_classes_and_masks(drive):
     folder, _ = drive
     coco = COCO(str(folder / "labels" / "coco.json"))
     assert [coco.cats[k]["name"] for k in coco.getCatIds()][:2] == ["car", "truck"]
@@ -82,7 +82,7 @@ def test_pycocotools_reads_boxes_classes_and_masks(drive: tuple[Path, list[StepR
         assert "head" in of_walker and not parts[instances <= 1].any()
 
 
-def test_depth_and_light_are_those_of_the_scene(drive: tuple[Path, list[StepResult]]) -> None:
+def test_depth_and_light_are_those_of_the_scene(drive):
     folder, results = drive
     document = json.loads((folder / "labels" / "coco.json").read_text())
     camera = document["camera"]
@@ -105,7 +105,7 @@ def test_depth_and_light_are_those_of_the_scene(drive: tuple[Path, list[StepResu
         assert (folder / image["light"]).is_file()
 
 
-def test_light_is_that_which_the_frame_shows(tmp_path: Path) -> None:
+def test_light_is_that_which_the_frame_shows(tmp_path):
     simulation = prepare(street(steps=1), "cpu")
     (result,) = simulation.evaluations()
     reception = result.reception
@@ -122,7 +122,7 @@ def test_light_is_that_which_the_frame_shows(tmp_path: Path) -> None:
     assert not np.load(tmp_path / image["lux"])["lux"].any() and not np.load(tmp_path / image["light"])["u_0"].any()
 
 
-def test_kitti_boxes_lie_where_the_calibration_puts_the_objects(tmp_path: Path) -> None:
+def test_kitti_boxes_lie_where_the_calibration_puts_the_objects(tmp_path):
     run(street(), tmp_path, video=False, report=False, labels="kitti")
     for number in range(4):
         picture = tmp_path / "labels" / "image_2" / f"{number:06d}.png"
@@ -144,7 +144,7 @@ def test_kitti_boxes_lie_where_the_calibration_puts_the_objects(tmp_path: Path) 
         assert float(lines[0].split()[-1]) == pytest.approx(-np.pi / 2, abs=0.01), "it faces as the camera does"
 
 
-def test_what_cannot_be_labelled_is_said_in_a_sentence(lux: Lux, tmp_path: Path) -> None:
+def test_what_cannot_be_labelled_is_said_in_a_sentence(lux, tmp_path):
     with refusal("labels = 'cocco': is no layout; choose from 'coco' and 'kitti'"):
         run(street(), tmp_path / "drive", labels="cocco")  # type: ignore[arg-type]
     assert_refused(lux("run", "small.toml", "--depth"), "--depth: is written beside labels")

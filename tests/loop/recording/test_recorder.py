@@ -47,7 +47,7 @@ def strict_json(file: Path) -> Any:
     return json.loads(file.read_text(), parse_constant=refuse)
 
 
-def test_row_has_plain_values_in_the_units_of_their_names(small_simulation: Simulation, small_results: list[StepResult]) -> None:
+def test_row_has_plain_values_in_the_units_of_their_names(small_simulation, small_results):
     result, names = small_results[0], schema(small_simulation).names
     values, symbol = row(result), result.symbol
     assert {type(values[name]) for name in names if name != "dark_lx_max"} == {int, float, str}
@@ -61,7 +61,7 @@ def test_row_has_plain_values_in_the_units_of_their_names(small_simulation: Simu
     assert values["look_ms"] == result.timings["plant"] + result.timings["look"], "rendering is no part of the car"
 
 
-def test_what_the_plant_computes_of_a_frame_where_it_is_read_is_no_time_of_the_car() -> None:
+def test_what_the_plant_computes_of_a_frame_where_it_is_read_is_no_time_of_the_car():
     def slowly(part: Part) -> torch.Tensor:
         end_s = time.thread_time() + 0.05
         while time.thread_time() < end_s:
@@ -75,7 +75,7 @@ def test_what_the_plant_computes_of_a_frame_where_it_is_read_is_no_time_of_the_c
     assert clock.ms["plant"] >= 50 > 25 > clock.processing_ms
 
 
-def test_lost_symbol_is_a_row_with_a_reason(small_simulation: Simulation, small_results: list[StepResult]) -> None:
+def test_lost_symbol_is_a_row_with_a_reason(small_simulation, small_results):
     result = small_results[0]
     seen = small_simulation.symbol.sensor.measure(None, ProjectionCommand(result.symbol.pose), small_simulation.symbol.projector.resting)
     values = row(replace(result, held={"symbol": replace(result.symbol, measurement=seen)}))
@@ -85,7 +85,7 @@ def test_lost_symbol_is_a_row_with_a_reason(small_simulation: Simulation, small_
     assert {loss_name(code) for code in ExtractionStatus} == {"", "no_frame", "nothing", "too_small", "too_large", "covered"}
 
 
-def test_recording_is_complete(tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]) -> None:
+def test_recording_is_complete(tmp_path, small_simulation, small_results):
     directory = tmp_path / "runs" / "small"
     record(directory, small_simulation, small_results)
     assert sorted(path.name for path in directory.iterdir()) == ["manifest.json", "summary.json", "trajectory.parquet"]
@@ -104,7 +104,7 @@ def test_recording_is_complete(tmp_path: Path, small_simulation: Simulation, sma
 
 
 @pytest.mark.parametrize("done", [1, 5])
-def test_ctrl_c_finishes_the_recording(tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult], done: int) -> None:
+def test_ctrl_c_finishes_the_recording(tmp_path, small_simulation, small_results, done):
     with pytest.raises(KeyboardInterrupt), Recorder(tmp_path, small_simulation) as recording:
         for result in small_results[:done]:
             recording.add(result)
@@ -115,9 +115,7 @@ def test_ctrl_c_finishes_the_recording(tmp_path: Path, small_simulation: Simulat
 
 
 @pytest.mark.parametrize("writes", range(1, 6))
-def test_death_in_the_middle_of_a_write_leaves_the_write_before(
-    tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult], writes: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_death_in_the_middle_of_a_write_leaves_the_write_before(tmp_path, small_simulation, small_results, writes, monkeypatch):
     """The process dies when it would have put the new trajectory into place."""
     monkeypatch.setattr(recorder, "REST", 0)  # write at every step
     recording = Recorder(tmp_path, small_simulation)
@@ -157,7 +155,7 @@ def start(directory: Path, scenario: Scenario, **changes: Any) -> "subprocess.Po
     return subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True, cwd=ROOT)
 
 
-def test_kill_leaves_all_but_the_last_few_steps(tmp_path: Path, small_scenario: Scenario) -> None:
+def test_kill_leaves_all_but_the_last_few_steps(tmp_path, small_scenario):
     process = start(tmp_path, small_scenario, steps=100_000)
     assert process.stdout is not None
     for _ in range(40):
@@ -173,7 +171,7 @@ def test_kill_leaves_all_but_the_last_few_steps(tmp_path: Path, small_scenario: 
 
 
 @pytest.mark.slow
-def test_one_seed_gives_the_same_bits_in_two_processes(tmp_path: Path, small_scenario: Scenario) -> None:
+def test_one_seed_gives_the_same_bits_in_two_processes(tmp_path, small_scenario):
     processes = [start(tmp_path / name, small_scenario, steps=5) for name in ("a", "b")]
     for process in processes:
         process.communicate()
@@ -184,9 +182,7 @@ def test_one_seed_gives_the_same_bits_in_two_processes(tmp_path: Path, small_sce
     assert a.select(exact).equals(b.select(exact))
 
 
-def test_what_ends_before_its_first_step_leaves_all_as_it_was(
-    tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]
-) -> None:
+def test_what_ends_before_its_first_step_leaves_all_as_it_was(tmp_path, small_simulation, small_results):
     old = tmp_path / "old"
     record(old, small_simulation, small_results)
     before = {file.name: file.read_bytes() for file in old.iterdir()}
@@ -200,7 +196,7 @@ def test_what_ends_before_its_first_step_leaves_all_as_it_was(
 @pytest.mark.parametrize(
     ("name", "content"), [("thesis.tex", "text"), ("manifest.json", "{}"), ("manifest.json", "text"), ("trajectory.parquet", "")]
 )
-def test_directory_of_something_else_is_left_alone(tmp_path: Path, small_simulation: Simulation, name: str, content: str) -> None:
+def test_directory_of_something_else_is_left_alone(tmp_path, small_simulation, name, content):
     (tmp_path / name).write_text(content)
     with refusal(r"holds files that are no recording"):
         run(validate(SMALL | {"headlight": {"model": "nothing.npz"}}, "never made ready"), tmp_path)
@@ -210,9 +206,7 @@ def test_directory_of_something_else_is_left_alone(tmp_path: Path, small_simulat
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_what_cannot_be_written_is_said(
-    tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_written_is_said(tmp_path, small_simulation, small_results, monkeypatch):
     (tmp_path / "file").touch()
     for directory in (tmp_path / "file", tmp_path / "file" / "below"):
         with refusal(r"file.*: cannot be written \(.*\); give another folder with --out"):

@@ -67,7 +67,7 @@ def of_symbol(name: str) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["driving", "obl"])
-def test_a_replay_with_two_threads_is_within_the_tolerances(name: str, tmp_path: Path) -> None:
+def test_a_replay_with_two_threads_is_within_the_tolerances(name, tmp_path):
     """What docs/recordings.md says of the two scenarios whose bits depend on threads."""
     for threads, command in (("1", ["run", name, "--steps", "2", "--no-video", "--out", str(tmp_path)]), ("2", ["replay", str(tmp_path)])):
         environment = {**os.environ, "OMP_NUM_THREADS": threads}
@@ -77,14 +77,14 @@ def test_a_replay_with_two_threads_is_within_the_tolerances(name: str, tmp_path:
         assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_replay_of_an_untouched_recording_agrees(recorded: Path, small_results: list[StepResult]) -> None:
+def test_replay_of_an_untouched_recording_agrees(recorded, small_results):
     steps = []
     comparison = replay(recorded, on_step=lambda result: steps.append(result.step))
     assert comparison.agrees and comparison.differences == comparison.notes == ()
     assert comparison.steps == len(small_results) and steps == list(range(len(small_results)))
 
 
-def test_replay_tells_what_differs_from_where_and_by_how_much(recording: Path, table: pa.Table) -> None:
+def test_replay_tells_what_differs_from_where_and_by_how_much(recording, table):
     name = of_symbol("y_m")
     y = table[name].to_numpy().copy()
     y[4:] += 0.01
@@ -97,7 +97,7 @@ def test_replay_tells_what_differs_from_where_and_by_how_much(recording: Path, t
     assert (difference.recorded - difference.replayed, difference.largest) == pytest.approx((0.01, 0.11))
 
 
-def test_replay_follows_the_manifest_and_says_what_is_not_as_it_was(recording: Path) -> None:
+def test_replay_follows_the_manifest_and_says_what_is_not_as_it_was(recording):
     manifest = json.loads((recording / "manifest.json").read_text())
     manifest["inputs"]["functions.symbol.image snowflake.png"]["sha256"] = "0" * 64
     manifest["versions"]["numpy"] = "1.0"
@@ -114,7 +114,7 @@ def test_replay_follows_the_manifest_and_says_what_is_not_as_it_was(recording: P
     assert all(word in note for word, note in zip(words, comparison.notes, strict=True)), comparison.notes
 
 
-def test_interrupted_recording_is_replayed_as_far_as_it_goes(recording: Path, table: pa.Table) -> None:
+def test_interrupted_recording_is_replayed_as_far_as_it_goes(recording, table):
     pq.write_table(table.slice(0, 5), recording / "trajectory.parquet")
     edit(recording / "manifest.json", status="running")
     (recording / "summary.json").unlink()
@@ -123,7 +123,7 @@ def test_interrupted_recording_is_replayed_as_far_as_it_goes(recording: Path, ta
 
 
 @pytest.mark.parametrize("name", ["time_s", "lamp.left.flux_lm", *(of_symbol(name) for name in SYMBOL if name != "loss")])
-def test_every_column_is_held_at_its_tolerance(table: pa.Table, name: str) -> None:
+def test_every_column_is_held_at_its_tolerance(table, name):
     # a tenth of the tolerance is far above rounding
     values = np.nan_to_num(table[name].to_numpy())  # of an ordinary symbol there is no aim
     tolerance = SHARE * values.max() if name.startswith("lamp.") else RAW[name.removeprefix("functions.symbol.")][0]
@@ -132,7 +132,7 @@ def test_every_column_is_held_at_its_tolerance(table: pa.Table, name: str) -> No
     assert within == () and [(each.column, each.first_step) for each in beyond] == [(name, 0)]
 
 
-def test_loss_and_steps_are_held_exactly_and_timings_not_at_all(table: pa.Table) -> None:
+def test_loss_and_steps_are_held_exactly_and_timings_not_at_all(table):
     steps = table.num_rows
     lost = compare(table, changed(table, of_symbol("loss"), [*[""] * (steps - 1), "nothing"]), HELD)
     assert [(d.column, d.first_step, d.recorded, d.replayed) for d in lost] == [(of_symbol("loss"), steps - 1, "", "nothing")]
@@ -141,7 +141,7 @@ def test_loss_and_steps_are_held_exactly_and_timings_not_at_all(table: pa.Table)
     assert (shorter.column, shorter.recorded, shorter.replayed, shorter.largest) == ("step", steps, steps - 3, 3)
 
 
-def test_missing_in_one_differs_and_missing_in_both_agrees(table: pa.Table) -> None:
+def test_missing_in_one_differs_and_missing_in_both_agrees(table):
     name = of_symbol("c_u")
     values = table[name].to_numpy().copy()
     values[3] = np.nan
@@ -151,7 +151,7 @@ def test_missing_in_one_differs_and_missing_in_both_agrees(table: pa.Table) -> N
     assert (difference.column, difference.first_step, difference.replayed, difference.largest) == (name, 3, None, np.inf)
 
 
-def test_steady_step_may_shift_by_one(table: pa.Table) -> None:
+def test_steady_step_may_shift_by_one(table):
     def settling(step: int | None) -> pa.Table:
         k = np.arange(30)
         long = changed(pa.concat_tables([table.slice(0, 1)] * 30), "step", k)
@@ -198,20 +198,20 @@ def words(table: pa.Table) -> pa.Table:
 
 
 @pytest.mark.parametrize("message", DAMAGE)
-def test_damaged_recording_is_told_in_a_sentence(recording: Path, message: str) -> None:
+def test_damaged_recording_is_told_in_a_sentence(recording, message):
     DAMAGE[message](recording)
     with refusal(message) as caught:
         replay(recording)
     assert "\n" not in str(caught.value)
 
 
-def test_trajectory_from_elsewhere_may_have_more_columns(recording: Path, table: pa.Table) -> None:
+def test_trajectory_from_elsewhere_may_have_more_columns(recording, table):
     rewrite(recording, lambda t: t.append_column("mine", pa.array(range(t.num_rows))))
     assert load(recording).table.select(table.column_names).equals(table)
     assert replay(recording).agrees
 
 
-def test_csv_has_every_value(recording: Path, tmp_path: Path, table: pa.Table) -> None:
+def test_csv_has_every_value(recording, tmp_path, table):
     c_u, iou, loss = (of_symbol(name) for name in ("c_u", "iou", "loss"))
     pq.write_table(changed(table, c_u, [np.nan, *table[c_u].to_pylist()[1:]]), recording / "trajectory.parquet")
     to_csv(recording, tmp_path / "out.csv")
@@ -221,7 +221,7 @@ def test_csv_has_every_value(recording: Path, tmp_path: Path, table: pa.Table) -
     assert [values[loss] for values in rows] == table[loss].to_pylist()
 
 
-def test_a_table_that_unpacks_to_more_than_the_budget_is_refused(tmp_path: Path) -> None:
+def test_a_table_that_unpacks_to_more_than_the_budget_is_refused(tmp_path):
     file = tmp_path / "a.parquet"
     zeros = pa.repeat(0.0, 1_000_000)
     pq.write_table(pa.table({f"c{k}": zeros for k in range(200)}), file)

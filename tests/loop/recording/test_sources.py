@@ -31,7 +31,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_imports_are_followed_within_the_folder(folder: Path) -> None:
+def test_imports_are_followed_within_the_folder(folder):
     found = sources_of("own_pkg.roads")
     assert {name: str(file.relative_to(folder)) for name, file in found.items()} == {
         "own_pkg": "own_pkg/__init__.py",
@@ -46,13 +46,13 @@ def test_imports_are_followed_within_the_folder(folder: Path) -> None:
     assert sources_of("no_such_module_at_all") == sources_of("luxloop.controllers.pixels.ssc") == sources_of("random") == {}
 
 
-def test_what_is_not_python_is_said_in_a_sentence(folder: Path) -> None:
+def test_what_is_not_python_is_said_in_a_sentence(folder):
     (folder / "own_neighbour.py").write_text("def late(:\n")
     with pytest.raises(LuxloopError, match=r"own_neighbour.py: cannot be read as Python .*line 1"):
         sources_of("own_neighbour")
 
 
-def test_a_replay_says_which_code_has_changed(folder: Path) -> None:
+def test_a_replay_says_which_code_has_changed(folder):
     (folder / "own_pkg/__init__.py").write_text("")
     (folder / "own_pkg/roads.py").write_text("from luxloop.world.roads.shapes import Flat\nfrom . import tables\n")
     (folder / "own_pkg/tables.py").write_text("HEIGHT_M = 0.0\n")

@@ -33,13 +33,13 @@ def decay(start: float, ratio: float, steps: int = 40) -> np.ndarray:
     return start * ratio ** np.arange(steps)
 
 
-def test_first_order_decay_settles_when_it_enters_two_percent() -> None:
+def test_first_order_decay_settles_when_it_enters_two_percent():
     # 40 * 0.7^k <= 2 from k = ln(20) / ln(1 / 0.7) = 8.4 on; the final value is 40 * 0.7^30 = 1e-3, too little to matter
     assert steady_step(table(centroid_error_x_percent=decay(40, 0.7))) == 9
     assert overshoot_percent(table(centroid_error_x_percent=decay(40, 0.7))) == pytest.approx(0, abs=1e-3)
 
 
-def test_oscillation_overshoots_by_its_damping() -> None:
+def test_oscillation_overshoots_by_its_damping():
     k = np.arange(80)
     # 0.8^k cos(pi k / 5): the first trough in whole steps is at k = 4 or 5, whichever is deeper
     wave = 50 * 0.8**k * np.cos(np.pi * k / 5)
@@ -49,7 +49,7 @@ def test_oscillation_overshoots_by_its_damping() -> None:
     assert steady_step(swinging) == within[0]
 
 
-def test_overshoot_is_the_largest_of_the_axes_that_start_far_off() -> None:
+def test_overshoot_is_the_largest_of_the_axes_that_start_far_off():
     twenty, fifty = [20.0, -4.0], [-10.0, 5.0]
     near = [4.0, -4.0]  # 100 %, of an axis that starts less than 5 % off
     for x, y, expected in ((twenty, fifty, 50), (twenty, near, 20), (near, [0.0, 0.0], None)):
@@ -61,12 +61,12 @@ def test_overshoot_is_the_largest_of_the_axes_that_start_far_off() -> None:
     ("column", "rest", "outside"),
     [("centroid_error_x_percent", 0, 2.01), ("centroid_error_y_percent", 0, -2.01), ("length", 1, 1.021), ("shear", 0, 0.021)],
 )
-def test_every_quantity_has_to_stay_within_its_band(column: str, rest: float, outside: float) -> None:
+def test_every_quantity_has_to_stay_within_its_band(column, rest, outside):
     for value, step in ((outside, 13), (rest + 0.95 * (outside - rest), 0)):
         assert steady_step(table(**{column: np.where(np.arange(40) == 12, value, rest)})) == step
 
 
-def test_never_settling_and_too_few_steps() -> None:
+def test_never_settling_and_too_few_steps():
     assert steady_step(table(centroid_error_x_percent=10 * np.sin(np.arange(40)))) is None
     late = np.where(np.arange(40) < 31, 5.0, 0.0)  # at rest for the last nine steps only
     assert steady_step(table(centroid_error_x_percent=late)) is steady_step(table(9)) is None
@@ -103,7 +103,7 @@ OFF = "centroid_error_y_percent"
         (table(**{OFF: 10 * np.sin(np.arange(40))}), "moving"),
     ],
 )
-def test_only_a_symbol_that_is_seen_on_its_target_has_settled(recorded: pa.Table, why: str | None) -> None:
+def test_only_a_symbol_that_is_seen_on_its_target_has_settled(recorded, why):
     assert settling_failure(recorded) == why
     assert settle_step(recorded) == (steady_step(recorded) if why is None else None)
 
@@ -117,7 +117,7 @@ WENT_WRONG = [
 
 @pytest.mark.parametrize("controller", ["open", "thesis_pid", "feedforward", "luxloop"])
 @pytest.mark.parametrize("recorded", WENT_WRONG)
-def test_the_closing_table_says_what_went_wrong_and_names_keys_that_exist(recorded: pa.Table, controller: str) -> None:
+def test_the_closing_table_says_what_went_wrong_and_names_keys_that_exist(recorded, controller):
     note = closing({"symbol": summarise(recorded, controller, 0.0)})["note"]
     keys = re.findall(r"\b(?:functions\.symbol|camera|disturbances)(?:\.[a-z_]+)+|\bjudge_every\b|(?<=raise )steps\b", note)
     scenario = load("snowflake", ["functions.symbol.controller={name='feedforward'}"] if controller == "feedforward" else [])
@@ -129,7 +129,7 @@ def test_the_closing_table_says_what_went_wrong_and_names_keys_that_exist(record
 
 
 @pytest.mark.parametrize(("road_m", "is_named"), [(-0.17, True), (0.17, True), (-0.13, False), (math.nan, False)])
-def test_a_road_beyond_what_is_looked_for_is_named(road_m: float, is_named: bool) -> None:
+def test_a_road_beyond_what_is_looked_for_is_named(road_m, is_named):
     run = Circumstances(drives=True, road_m=road_m, highest_m=0.14)
     (said,) = remedies("symbol", summarise(table(**{OFF: np.full(40, 20.0)}), "luxloop", 0.0, run=run))
     assert ("functions.symbol.controller.highest_m = 0.14" in said and "x²/(2R)" in said) == is_named
@@ -141,7 +141,7 @@ def test_a_road_beyond_what_is_looked_for_is_named(road_m: float, is_named: bool
 
 
 @pytest.mark.parametrize("steps", [0, 1, 40])
-def test_nothing_seen_is_null_in_json(steps: int) -> None:
+def test_nothing_seen_is_null_in_json(steps):
     numbers = [name for name in SYMBOL if name != "loss"]
     summary = summarise(table(steps, **dict.fromkeys(numbers, math.nan)), "open", math.nan)
     written = json.loads(json.dumps(summary, allow_nan=False))

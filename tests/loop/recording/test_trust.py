@@ -85,7 +85,7 @@ def ran(folder: Path) -> bool:
 
 
 @pytest.mark.parametrize(("key", "text"), NAMING.items(), ids=NAMING)
-def test_a_scenario_runs_no_code_unless_that_is_allowed(key: str, text: str, mine: Path) -> None:
+def test_a_scenario_runs_no_code_unless_that_is_allowed(key, text, mine):
     (file := mine / "scenario.toml").write_text(text)
     with pytest.raises(LuxloopError) as caught:
         load(str(file))
@@ -98,7 +98,7 @@ def test_a_scenario_runs_no_code_unless_that_is_allowed(key: str, text: str, min
 
 
 @pytest.mark.parametrize("key", NAMING)
-def test_what_is_typed_or_given_in_python_is_the_users_own(key: str, mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_typed_or_given_in_python_is_the_users_own(key, mine, monkeypatch):
     """`--controller` comes in values; the module is found where the user is."""
     monkeypatch.chdir(mine)
     base = {"detector.kind": "gfhb", "functions.mine.kind": "gfhb", "tracker.kind": "obl"}.get(key, "flat")
@@ -115,7 +115,7 @@ def test_what_is_typed_or_given_in_python_is_the_users_own(key: str, mine: Path,
     assert load(base, ["keys.toml"], allow_code=True).road.kind == f"{mine}/mine:Road"
 
 
-def test_a_name_in_a_file_stays_untrusted_beside_what_is_typed(mine: Path) -> None:
+def test_a_name_in_a_file_stays_untrusted_beside_what_is_typed(mine):
     (file := mine / "scenario.toml").write_text(NAMING["functions.symbol.extraction.kind"])
     with refusal(r"extraction\.kind: .*--allow-code"):
         load(str(file), ["road.kind=bumps", "functions.symbol.extraction.area_low=0.3"])
@@ -135,7 +135,7 @@ def recorded(mine: Path, text: str, key: str, value: Any) -> Path:
 
 
 @pytest.mark.parametrize(("text", "table", "name"), [(HELD, "functions.symbol.extraction", "Looks"), (BARE, "road", "Road")])
-def test_an_edited_manifest_runs_no_code(text: str, table: str, name: str, mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_edited_manifest_runs_no_code(text, table, name, mine, capsys):
     directory = recorded(mine, text, table, {"kind": f"{mine}/mine:{name}"})
     with refusal(rf"manifest\.json: {table}\.kind: .*the module mine;.*--allow-code"):
         replay(directory)
@@ -144,7 +144,7 @@ def test_an_edited_manifest_runs_no_code(text: str, table: str, name: str, mine:
     assert "the scenario in the manifest was edited" in " ".join(Manifest.read(directory).changes(Manifest.read(directory)))
 
 
-def test_a_campaign_names_code_as_a_scenario_does(mine: Path) -> None:
+def test_a_campaign_names_code_as_a_scenario_does(mine):
     for text in ('controllers = ["mine:Stays"]', "[set.road]\nkind = 'mine:Road'", "[variants.a]\nroad.kind = 'mine:Road'"):
         (file := mine / "campaign.toml").write_text(f'scenarios = ["plain.toml"]\n{text}\n')
         with refusal(r"the module mine;.*--allow-code"):
@@ -159,7 +159,7 @@ def test_a_campaign_names_code_as_a_scenario_does(mine: Path) -> None:
     assert not ran(mine)
 
 
-def test_a_step_that_fails_says_where_and_debug_shows_how(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_step_that_fails_says_where_and_debug_shows_how(mine, capsys):
     (file := mine / "scenario.toml").write_text(
         SYMBOL + 'functions.symbol.controller = { name = "mine:Stays", options = { fails = true } }'
     )

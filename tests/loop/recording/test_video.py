@@ -31,7 +31,7 @@ def drawn(result: StepResult, simulation: Simulation) -> Picture:
     return frame_picture(result, simulation, white_of(result, simulation))
 
 
-def test_picture_has_the_cameras_size_and_shows_symbol_and_target(small_simulation: Simulation, small_results: list[StepResult]) -> None:
+def test_picture_has_the_cameras_size_and_shows_symbol_and_target(small_simulation, small_results):
     picture = drawn(small_results[-1], small_simulation)
     assert picture.shape == (180, 320, 3) and picture.dtype == np.uint8
     between = picture[90:130]  # insets and captions
@@ -45,7 +45,7 @@ def test_picture_has_the_cameras_size_and_shows_symbol_and_target(small_simulati
     assert (u.min(), u.max()) == (int(lit_u.min()) + crop.u_start, int(lit_u.max()) + crop.u_start)
 
 
-def test_lost_frames_are_a_dark_picture_that_says_so(small_simulation: Simulation, small_results: list[StepResult]) -> None:
+def test_lost_frames_are_a_dark_picture_that_says_so(small_simulation, small_results):
     result = small_results[0]
     seen = small_simulation.symbol.sensor.measure(None, ProjectionCommand(result.symbol.pose), small_simulation.symbol.projector.resting)
     none, held = replace(result.perception, image=None), {"symbol": replace(result.symbol, measurement=seen)}
@@ -55,13 +55,13 @@ def test_lost_frames_are_a_dark_picture_that_says_so(small_simulation: Simulatio
     assert shows(picture[-12:, :80], LOST_RGB)
 
 
-def test_tone_map_is_monotonic_and_saturates_at_white() -> None:
+def test_tone_map_is_monotonic_and_saturates_at_white():
     grey = tone_map(torch.tensor([[0.0, 0.01, 0.25, 1.0, 5.0]]), torch.tensor(1.0))
     assert grey[0, :, 0].tolist() == [0, 26, 128, 255, 255]
 
 
 @pytest.mark.parametrize("size", [(320, 180), (65, 33)])
-def test_video_has_every_picture_in_even_size(tmp_path: Path, size: tuple[int, int]) -> None:
+def test_video_has_every_picture_in_even_size(tmp_path, size):
     width, height = size
     shades = [40, 120, 200]
     with VideoWriter(tmp_path / "video.mp4", 10, size) as video:
@@ -74,6 +74,6 @@ def test_video_has_every_picture_in_even_size(tmp_path: Path, size: tuple[int, i
     assert [file.name for file in tmp_path.iterdir()] == ["video.mp4"]
 
 
-def test_video_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_video_that_cannot_be_written_is_told(tmp_path):
     with pytest.raises(LuxloopError, match=r"video\.mp4: cannot be written \(.*\); name another"):
         VideoWriter(tmp_path / "no" / "video.mp4", 30, (64, 64))

@@ -1,19 +1,17 @@
 """`luxloop export`: the light of each module at one time, in files that agree with the simulation and with each other."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
 
 from luxloop import load, read_photometry
-from tests.loop.conftest import Lux, assert_refused, simulation_of
+from tests.loop.conftest import assert_refused, simulation_of
 
 AT_S = 0.3
 SMALL = ["camera.width_px=320", "camera.height_px=133", "renderer=raycast"]
 
 
-def test_npz_has_the_textures_of_the_modules(lux: Lux, tmp_path: Path) -> None:
+def test_npz_has_the_textures_of_the_modules(lux, tmp_path):
     code, out, error = lux("export", "light", "gfhb", "--at", str(AT_S), "--out", "light.npz", "--set", *SMALL)
     assert (code, error, out) == (0, "", "light.npz written: gfhb at 0.3 s, 1 file\n")
     *_, result = (each for each in simulation_of(load("gfhb", SMALL, steps=4)).evaluations())
@@ -28,7 +26,7 @@ def test_npz_has_the_textures_of_the_modules(lux: Lux, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["ies", "ldt"])
-def test_photometric_files_give_the_same_light(suffix: str, lux: Lux, tmp_path: Path) -> None:
+def test_photometric_files_give_the_same_light(suffix, lux, tmp_path):
     code, out, _ = lux("export", "light", "gfhb", "--at", str(AT_S), "--out", f"light.{suffix}", "--set", *SMALL)
     assert code == 0 and "2 files" in out
     simulation = simulation_of(load("gfhb", SMALL))
@@ -49,7 +47,7 @@ def test_photometric_files_give_the_same_light(suffix: str, lux: Lux, tmp_path: 
         assert not file.distribution.intensity([[1.0], [headlight.left + 0.1], [0.0]]).any(), "dark beyond the field"
 
 
-def test_a_single_module_has_the_file_alone_and_may_be_dark(lux: Lux, tmp_path: Path) -> None:
+def test_a_single_module_has_the_file_alone_and_may_be_dark(lux, tmp_path):
     dark = ["lighting.base.beam=off", "functions={}", 'headlight.lamps=["left"]', "headlight.model=ssl-hd-lores", *SMALL]
     for name in ("dark.ldt", "dark.ies"):
         code, _, error = lux("export", "light", "gfhb", "--out", name, "--step-deg", "1", "--set", *dark, "checks={}")
@@ -71,6 +69,6 @@ def test_a_single_module_has_the_file_alone_and_may_be_dark(lux: Lux, tmp_path: 
         ("scene small.toml --out no/where/a.glb", "no/where/a.glb: cannot be written"),
     ],
 )
-def test_what_cannot_be_written_is_said_in_a_sentence(line: str, words: str, lux: Lux, tmp_path: Path) -> None:
+def test_what_cannot_be_written_is_said_in_a_sentence(line, words, lux, tmp_path):
     assert_refused(lux("export", *line.split()), words)
     assert [file.name for file in tmp_path.iterdir()] == ["small.toml"]

@@ -11,13 +11,13 @@ import trimesh
 
 from luxloop import load, validate
 from luxloop.loop.report.export_scene import SCENE, T_GLTF_WORLD, write_scene
-from tests.loop.conftest import Lux, box, simulation_of
+from tests.loop.conftest import box, simulation_of
 
 AT_S = 0.5
 SMALL = ["camera.width_px=320", "camera.height_px=160", "renderer=raycast"]
 
 
-def test_scene_opens_in_trimesh_with_every_vertex_where_it_is(lux: Lux, tmp_path: Path) -> None:
+def test_scene_opens_in_trimesh_with_every_vertex_where_it_is(lux, tmp_path):
     given = [*SMALL, "vehicle.course=[{speed_m_s=8.0}]", "light.street_lamps=[{position_m=[20.0, 7.0, 6.0], intensity_cd=500.0}]"]
     code, out, error = lux("export", "scene", "night_traffic", "--at", str(AT_S), "--out", "night.glb", "--set", *given)
     assert (code, error) == (0, "") and out.startswith("night.glb written: night_traffic at 0.5 s, ")
@@ -62,7 +62,7 @@ def tree(file: Path) -> dict[str, Any]:
     return found
 
 
-def test_no_name_of_an_object_is_taken_and_albedos_are_exact(tmp_path: Path) -> None:
+def test_no_name_of_an_object_is_taken_and_albedos_are_exact(tmp_path):
     names = ["world", "scene", "camera", "road"]
     objects = [box(each, (1.0, 1.0, 1.0), (10.0 + k, 0.0, 0.0), albedo=0.0018 + 1e-4 * k) for k, each in enumerate(names)]
     scenario = validate({"name": "boxes", "renderer": "raycast", "headlight": {"model": "ssl-hd-lores"}, "objects": objects}, "boxes")

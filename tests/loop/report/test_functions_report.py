@@ -1,7 +1,6 @@
 """What report and summary of lighting functions tell: charts that nothing hides, energy beside that of beams, whom the tracker loses."""
 
 import tomllib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -49,7 +48,7 @@ def scenario(functions: dict[str, dict[str, Any]], beam: str = "high", **changes
     return validate(TOLD | given | changes, "told")
 
 
-def test_every_chart_is_there_and_no_legend_lies_over_one(tmp_path: Path) -> None:
+def test_every_chart_is_there_and_no_legend_lies_over_one(tmp_path):
     given = scenario({"half": HALF, "wall": ZONE})
     summary = run(given, tmp_path / "told", video=False, report=False).summary
     table = pq.read_table(tmp_path / "told" / "trajectory.parquet")
@@ -81,7 +80,7 @@ def told(summary: dict[str, Any]) -> str:
     return console.export_text()
 
 
-def test_of_many_objects_the_brightest_are_named_and_the_rest_counted() -> None:
+def test_of_many_objects_the_brightest_are_named_and_the_rest_counted():
     lit = {f"car_{k}": in_sight(float(k)) for k in range(20)}
     unseen = {f"sign_{k}": in_sight(None) for k in range(9)}
     rows = _of_light(lit | unseen, 9)
@@ -93,7 +92,7 @@ def test_of_many_objects_the_brightest_are_named_and_the_rest_counted() -> None:
     assert [*_of_light(few, 9)] == [f"light on car_{k}" for k in range(NAMED)] and brightest(few) == [*few]
 
 
-def test_of_many_objects_the_largest_that_are_lost_are_named() -> None:
+def test_of_many_objects_the_largest_that_are_lost_are_named():
     lost, missed = ({"steps_lost": steps, "tracks": tracks, "steps_in_sight": 9} for steps, tracks in ((2, 1), (0, 0)))
     objects = {f"car_{k}": in_sight(1.0, pixels_max=float(k), **(lost if k % 2 else missed)) for k in range(12)}
     rows = _of_lost(objects | {"held": in_sight(1.0, pixels_max=99.0, steps_lost=0, tracks=1, steps_in_sight=9)})
@@ -109,7 +108,7 @@ def _title(axes: Axes) -> str:
     return axes.get_title(loc="left") if legend is None else legend.get_title().get_text()
 
 
-def test_energy_stands_beside_that_of_standby_and_of_undimmed_beams(tmp_path: Path) -> None:
+def test_energy_stands_beside_that_of_standby_and_of_undimmed_beams(tmp_path):
     dimmed, full = (
         run(scenario({"half": each} if each else {}, objects=[]), tmp_path / str(bool(each)), video=False, report=False).summary
         for each in (HALF, None)
@@ -127,7 +126,7 @@ def test_energy_stands_beside_that_of_standby_and_of_undimmed_beams(tmp_path: Pa
     assert f"{flux:.0f} lm (mean), {flux / low:.0%} of the undimmed low beam's {low:.0f} lm" in text
 
 
-def test_power_is_compared_within_the_same_limit_and_beams_are_named_once() -> None:
+def test_power_is_compared_within_the_same_limit_and_beams_are_named_once():
     table = pa.table({"time_s": [0.0, 0.1], "beam": ["low", "low"]})
     free, limited = (
         reference_power(Simulation.prepare(scenario({}, "low", lighting={"base": {"beam": "low"}, "power_limit": limit})), table)
@@ -139,7 +138,7 @@ def test_power_is_compared_within_the_same_limit_and_beams_are_named_once() -> N
     assert list(dark) == ["standby", "low beam"]
 
 
-def test_steps_in_which_somebody_in_sight_is_lost_and_tracks_that_show_nobody_are_counted() -> None:
+def test_steps_in_which_somebody_in_sight_is_lost_and_tracks_that_show_nobody_are_counted():
     def table(confidence: list[float | None], track: list[int | None], **more: list[Any]) -> pa.Table:
         columns = {"objects.car.confidence": pa.array(confidence, pa.float64()), "objects.car.track": pa.array(track, pa.int64())}
         return pa.table(columns | {name: pa.array(values) for name, values in more.items()})
@@ -153,7 +152,7 @@ def test_steps_in_which_somebody_in_sight_is_lost_and_tracks_that_show_nobody_ar
     assert steps_of_nothing(ghosts, ["car"]) == 3 and steps_of_nothing(ghosts, []) == 5 and steps_of_nothing(ghosts[:0], ["car"]) == 0
 
 
-def test_texts_do_not_cover_each_other() -> None:
+def test_texts_do_not_cover_each_other():
     places = {"car 1: 0.90": (100, 50), "left of it": (49, 50), "cyclist 2: 0.80": (150, 55), "below": (150, 62), "": (100, 50)}
     marked = [Mark((), text=text, at=at) for text, at in places.items()]
     found = readable(marked, 5.0, 640)
@@ -162,12 +161,12 @@ def test_texts_do_not_cover_each_other() -> None:
     assert [(mark.text, mark.at[1]) for mark in crowd[:3]] == [("a", 50), ("b", 40), ("c", 30)] and crowd[3].text == ""
 
 
-def test_light_on_eyes_is_told_without_the_start_up() -> None:
+def test_light_on_eyes_is_told_without_the_start_up():
     table = pa.table({"time_s": [0.0, 0.5, 1.0, 1.5], "eyes_lx_max": pa.array([8.0, 2.0, 0.4, None], pa.float64())})
     assert eyes_lx(table) == 8.0 and eyes_lx(table, 1.0) == 0.4 and eyes_lx(table, 1.2) is None
 
 
-def test_whom_the_tracker_loses_is_told(tmp_path: Path) -> None:
+def test_whom_the_tracker_loses_is_told(tmp_path):
     """The detector finds nobody who is hidden by half, and a box comes before the walker in the fourth step."""
     before = toml("{ kind = 'box', name = 'box', size_m = [0.1, 3, 1.4], appears_s = 0.09, track = [{ position_m = [14, -2, 0] }] }")
     tracker = {"confirm_frames": 2, "keep_s": 0.1}
@@ -184,7 +183,7 @@ def test_whom_the_tracker_loses_is_told(tmp_path: Path) -> None:
     assert "lx at most, all within the first 1 s" in text and "walker 0.00, each from its first track on" in text
 
 
-def test_who_is_too_small_or_of_another_class_is_not_missed() -> None:
+def test_who_is_too_small_or_of_another_class_is_not_missed():
     far = toml("{ kind = 'pedestrian', name = 'far', track = [{ position_m = [80.0, 3.0, 0.0] }] }")
     simulation = Simulation.prepare(scenario({}, objects=[*WALKER, far], detector={"kind": "truth"}))
     view = simulation.world.lit(0.0)
@@ -195,7 +194,7 @@ def test_who_is_too_small_or_of_another_class_is_not_missed() -> None:
     assert not cars["walker"].findable
 
 
-def test_check_says_how_much_is_found_in_the_first_frame() -> None:
+def test_check_says_how_much_is_found_in_the_first_frame():
     some, none = check(scenario({})), check(scenario({}, detector={"kind": "truth", "least_height_px": 1000}))
     assert some["boxes"] == 1 and some["lx_max"] > 5 and "truth (1 boxes in the first frame" in in_words(some)
     assert none["boxes"] == 0 and none["lx_max"] == some["lx_max"]

@@ -76,7 +76,7 @@ def expected_lx(car: LitCar, point: torch.Tensor) -> float:
     return total
 
 
-def test_map_of_the_road_has_its_illuminance_in_its_places(car: LitCar, road: Road) -> None:
+def test_map_of_the_road_has_its_illuminance_in_its_places(car, road):
     view = birdseye(0.25)
     seen = road.look(car, view)
     (x0, _), (_, y1) = BIRDSEYE_X_M, BIRDSEYE_Y_M
@@ -89,7 +89,7 @@ def test_map_of_the_road_has_its_illuminance_in_its_places(car: LitCar, road: Ro
         assert seen.illuminance[row, col] == pytest.approx(value, rel=1e-4)  # positions are float32
 
 
-def test_driver_sees_albedo_times_illuminance_by_pi(car: LitCar, road: Road) -> None:
+def test_driver_sees_albedo_times_illuminance_by_pi(car, road):
     view = driver(320)
     seen = road.look(car, view)
     row, col = 130, 170
@@ -99,14 +99,14 @@ def test_driver_sees_albedo_times_illuminance_by_pi(car: LitCar, road: Road) -> 
     assert np.isnan(seen.illuminance[0]).all() and not seen.luminance[0].any(), "the sky is not lit"
 
 
-def test_objects_of_a_scenario_throw_shadows(car: LitCar) -> None:
+def test_objects_of_a_scenario_throw_shadows(car):
     wall = box("box", (1.0, 12.0, 2.0), (20.0, 0.0, 0.0))
     seen = Road(scenario(objects=[wall])).look(car, birdseye(0.5))
     behind, before = (round((x - BIRDSEYE_X_M[0]) / 0.5) for x in (30.0, 15.0))
     assert seen.illuminance[40, behind] == 0 and seen.illuminance[40, before] > 0.5
 
 
-def test_lamps_of_a_car_that_drives_shine_where_it_is_then(car: LitCar) -> None:
+def test_lamps_of_a_car_that_drives_shine_where_it_is_then(car):
     track = [{"time_s": t, "position_m": [40.0 - 10 * t, 3.5, 0.0], "yaw_deg": 180.0} for t in (0.0, 2.0)]
     oncoming = scenario(light={"ambient_lx": 0.0}, objects=[{"kind": "car", "name": "car", "track": track}])
     dark = replace(car, patterns={side: tuple(torch.zeros_like(u) for u in pattern) for side, pattern in car.patterns.items()})
@@ -117,7 +117,7 @@ def test_lamps_of_a_car_that_drives_shine_where_it_is_then(car: LitCar) -> None:
     assert after - before == pytest.approx(-20.0 / 0.5, abs=5.0)  # the map ends where the nearest light is
 
 
-def test_fog_veils_what_is_far_and_shows_the_beam(car: LitCar, road: Road) -> None:
+def test_fog_veils_what_is_far_and_shows_the_beam(car, road):
     view = beside(160)
     clear, fog = road.look(car, view), road.look(car, view, Medium.fog(100.0))
     sky = np.isnan(clear.illuminance)
@@ -126,7 +126,7 @@ def test_fog_veils_what_is_far_and_shows_the_beam(car: LitCar, road: Road) -> No
     assert fog.luminance[bright].mean() < 0.6 * clear.luminance[bright].mean(), "about 15 m there and 20 m back of 100 m take two thirds"
 
 
-def test_chromatic_lamps_are_seen_in_colour(light: Headlight, road: Road) -> None:
+def test_chromatic_lamps_are_seen_in_colour(light, road):
     red = torch.tensor([1 / 0.2126, 0.0, 0.0])[:, None].expand(3, len(light.matrix.values))
     coloured = Headlight(**{**vars(light), "chroma": red})
     lamp = Lamp("red", (Module("main", coloured),))
@@ -140,7 +140,7 @@ def test_chromatic_lamps_are_seen_in_colour(light: Headlight, road: Road) -> Non
     np.testing.assert_allclose(seen.illuminance, plain.illuminance, rtol=1e-4, atol=1e-6)
 
 
-def test_fog_scatters_the_light_of_the_sky_too(lamps: dict[str, Lamp]) -> None:
+def test_fog_scatters_the_light_of_the_sky_too(lamps):
     dark = LitCar({"left": lamps["left"]}, {"left": lamps["left"].beam("off")})
     seen = Road(scenario(light={"ambient_lx": 1000.0})).look(dark, driver(160), Medium.fog(50.0))
     # Half of the air's surroundings is a sky of E / pi.
@@ -152,7 +152,7 @@ def test_fog_scatters_the_light_of_the_sky_too(lamps: dict[str, Lamp]) -> None:
 
 
 @pytest.mark.parametrize("road", ["{ kind='flat' }", "{ kind='grade', grade_percent=3.0 }", "{ kind='bumps' }"])
-def test_distances_stand_where_the_road_is_and_nothing_hides_them(road: str, car: LitCar) -> None:
+def test_distances_stand_where_the_road_is_and_nothing_hides_them(road, car):
     def marks(lane_width_m: float, *objects: dict[str, object]) -> tuple[View, list[Text]]:
         given = {"road": toml(road), "surface": {"grain": 0.0, "lane_width_m": lane_width_m}, "objects": objects}
         seen, axes = Road(scenario(**given)).look(car, driver(960)), Figure().subplots()
@@ -172,7 +172,7 @@ def test_distances_stand_where_the_road_is_and_nothing_hides_them(road: str, car
         assert {text.get_text() for text in texts} == {"– 10 m", "– 20 m"}
 
 
-def test_flux_of_a_uniform_texture_is_its_solid_angle(light: Headlight) -> None:
+def test_flux_of_a_uniform_texture_is_its_solid_angle(light):
     def rectangle(y: float, z: float) -> float:
         return math.atan(y * z / math.sqrt(1 + y * y + z * z))
 
@@ -181,14 +181,14 @@ def test_flux_of_a_uniform_texture_is_its_solid_angle(light: Headlight) -> None:
     assert flux_lm(light, torch.full((light.rows, light.cols), 1000.0)) == pytest.approx(1000 * solid_angle, rel=1e-5)
 
 
-def test_reach_is_where_the_inverse_square_law_says(lamps: dict[str, Lamp]) -> None:
+def test_reach_is_where_the_inverse_square_law_says(lamps):
     alone = LitCar({"left": lamps["left"]}, {"left": lamps["left"].beam("full")})
     # 50 kcd give 10 lx at 70.7 m, looking 0.6 deg down; facing the car costs no cosine worth mentioning there.
     assert reach_m(alone, 10.0) == pytest.approx(math.sqrt(50_000 / 10), abs=0.5)
     assert reach_m(LitCar({"left": lamps["left"]}, {"left": lamps["left"].beam("off")}), 1.0) == 0.0
 
 
-def test_wall_holds_the_beam_and_facts_name_its_peak(lamps: dict[str, Lamp]) -> None:
+def test_wall_holds_the_beam_and_facts_name_its_peak(lamps):
     low = LitCar(lamps, {side: lamp.beam("low") for side, lamp in lamps.items()})
     h, v = wall_angles(low)
     assert h[0] < -12 and h[-1] > 12 and v[0] < -8 and v[-1] >= 1.5
@@ -198,7 +198,7 @@ def test_wall_holds_the_beam_and_facts_name_its_peak(lamps: dict[str, Lamp]) -> 
     assert found["peak"] == "50 kcd, 80 lx at 25 m"
 
 
-def test_the_peak_is_found_wherever_it_is(light: Headlight) -> None:
+def test_the_peak_is_found_wherever_it_is(light):
     far_aside = Lamp("aside", (Module("main", light, pose_from_degrees((0, 0, 0), pitch_deg=-20, yaw_deg=60)),))
     one = torch.zeros(20, 40)
     one[19, 39] = 1.0  # its lower right corner
@@ -209,11 +209,11 @@ def test_the_peak_is_found_wherever_it_is(light: Headlight) -> None:
 
 
 @pytest.mark.parametrize(("brightest", "expected"), [(0.0, [1.0]), (3.0, [0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2]), (10.0, [2, 5])])
-def test_lines_are_at_round_values(brightest: float, expected: list[float]) -> None:
+def test_lines_are_at_round_values(brightest, expected):
     assert steps(brightest, most=len(expected)) == pytest.approx(expected)
 
 
-def test_lines_run_along_borders_where_light_ends_at_once() -> None:
+def test_lines_run_along_borders_where_light_ends_at_once():
     axes = Figure().subplots()
     light = np.zeros((20, 30))
     light[5:15, 8:20] = 3.0
@@ -236,7 +236,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, road: Road) -> None:
 
 @pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.usefixtures("quick")
-def test_each_view_in_each_style_is_a_readable_picture_of_a_dark_lamp_as_well(view: str, lamps: dict[str, Lamp], tmp_path: Path) -> None:
+def test_each_view_in_each_style_is_a_readable_picture_of_a_dark_lamp_as_well(view, lamps, tmp_path):
     for style in VIEWS[view]:
         picture = cv2.imread(str(show_headlight(lamps, tmp_path / f"{style}.png", view=view, style=style)))
         assert picture.shape[1] >= 500 and picture.std() > 10
@@ -245,7 +245,7 @@ def test_each_view_in_each_style_is_a_readable_picture_of_a_dark_lamp_as_well(vi
     assert {path.suffix for path in tmp_path.iterdir()} == {".png"}, "nothing half-written is left"
 
 
-def test_a_scenario_turns_the_modules_that_can_be_turned(bending: dict[str, Lamp], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scenario_turns_the_modules_that_can_be_turned(bending, tmp_path, monkeypatch):
     cars: list[LitCar] = []
     monkeypatch.setattr(headlight, "draw_wall", lambda axes, car, style: cars.append(car))
     turned = scenario(headlight={"swivel_deg": 12.0, "height_m": 0.9})
@@ -286,7 +286,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("message", WRONG)
-def test_what_is_wrong_is_named(message: str, bending: dict[str, Lamp], tmp_path: Path) -> None:
+def test_what_is_wrong_is_named(message, bending, tmp_path):
     with refusal(message):
         show_headlight(bending, **{"out": tmp_path / "beam.png", **WRONG[message]})  # type: ignore[arg-type]
     for sides in ((), ("middle",), ("left", "rigth")):
@@ -295,7 +295,7 @@ def test_what_is_wrong_is_named(message: str, bending: dict[str, Lamp], tmp_path
     assert not list(tmp_path.iterdir())
 
 
-def test_left_and_right_textures_are_to_one_scale_and_to_the_right(lamps: dict[str, Lamp]) -> None:
+def test_left_and_right_textures_are_to_one_scale_and_to_the_right(lamps):
     half = {"left": (torch.full((800,), 0.5),), "right": (torch.ones(800),)}
     figure = Figure()
     headlight._draw_modules(figure, LitCar(lamps, half), "texture")

@@ -18,7 +18,7 @@ def lobe(kind: str) -> Distribution:
     return Distribution(kind, v, h, 1000 * np.exp(-far / 8000))  # type: ignore[arg-type]
 
 
-def test_cuts_go_through_the_peak_of_a_headlamp() -> None:
+def test_cuts_go_through_the_peak_of_a_headlamp():
     angles, curves = cuts(lobe("A"))
     across, upright = curves.values()
     assert list(curves) == ["across, 20° up", "upright, 10° right"]
@@ -27,7 +27,7 @@ def test_cuts_go_through_the_peak_of_a_headlamp() -> None:
     assert across[angles == 120] == 0, "the file ends at 90 deg"
 
 
-def test_cuts_of_a_luminaire_are_planes_through_nadir() -> None:
+def test_cuts_of_a_luminaire_are_planes_through_nadir():
     angles, curves = cuts(lobe("C"))
     assert list(curves) == ["C30 – C210", "C120 – C300"]
     plane = curves["C30 – C210"]
@@ -46,7 +46,7 @@ NEEDLE = np.exp(-(ANGLES**2) - ANGLES[:, None] ** 2)
     [*map(lobe, "ABC"), *(Distribution("A", ANGLES, ANGLES, peak * NEEDLE) for peak in (0.0, 30_000.0))],
     ids=lambda each: each.type,
 )
-def test_each_type_and_narrow_and_dark_files_are_drawn(shown: Distribution, tmp_path: Path) -> None:
+def test_each_type_and_narrow_and_dark_files_are_drawn(shown, tmp_path):
     photometry = Photometry(path=Path("lobe.ies"), format="LM-63-2019", distribution=shown)
     assert cv2.imread(str(show_distribution(photometry, tmp_path / "lobe.png"))).std() > 10
     with refusal("pictures are written as"):

@@ -13,7 +13,7 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from luxloop import ExtractionStatus, Scenario, Simulation, run, validate
+from luxloop import ExtractionStatus, Simulation, run, validate
 from luxloop.loop.recording.functions_summary import summary_of
 from luxloop.loop.recording.manifest import REPORT, table_of
 from luxloop.loop.recording.record import row, schema
@@ -66,9 +66,7 @@ def lost(result: StepResult) -> StepResult:
     return replace(result, held={"symbol": replace(result.symbol, measurement=seen)})
 
 
-def test_page_is_readable_in_print_and_shows_target_and_past(
-    tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]
-) -> None:
+def test_page_is_readable_in_print_and_shows_target_and_past(tmp_path, small_simulation, small_results):
     page = drawn(tmp_path / "report.png", small_simulation, small_results)
     assert page.shape == size(HIGH_IN)
     blue, green, red = (page[..., i].astype(int) for i in range(3))
@@ -78,7 +76,7 @@ def test_page_is_readable_in_print_and_shows_target_and_past(
 
 
 @pytest.mark.parametrize("which", ["one step", "last step lost", "all steps lost"])
-def test_page_of_an_unlucky_run(which: str, tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]) -> None:
+def test_page_of_an_unlucky_run(which, tmp_path, small_simulation, small_results):
     first, *others = small_results
     results = {
         "one step": [first],
@@ -89,7 +87,7 @@ def test_page_of_an_unlucky_run(which: str, tmp_path: Path, small_simulation: Si
 
 
 @pytest.mark.slow
-def test_page_of_two_lamps_seen_from_above(tmp_path: Path) -> None:
+def test_page_of_two_lamps_seen_from_above(tmp_path):
     lamps = {"model": SMALL_LAMP, "lamps": ["left", "right"]}
     symbol = SYMBOL | toml("{ modules = ['left', 'right'], features = { view = 'birdseye', shape = 'moments' } }")
     simulation = simulation_of(validate(SMALL | {"headlight": lamps, "functions": {"symbol": symbol}, "steps": 2}, "two lamps"))
@@ -98,7 +96,7 @@ def test_page_of_two_lamps_seen_from_above(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_page_has_all_light_and_then_each_symbol(tmp_path: Path) -> None:
+def test_page_has_all_light_and_then_each_symbol(tmp_path):
     car = box("box", (1.0, 0.5, 0.6), (25.0, 0.0, 0.0), category="car")
     functions = {name: SYMBOL | {"y_m": y_m, "start": {"x_m": 17.0, "y_m": y_m}} for name, y_m in (("left", 1.6), ("right", -1.6))}
     simulation = simulation_of(validate(SMALL | {"objects": [car], "functions": functions, "steps": 4}, "lit"))
@@ -109,9 +107,7 @@ def test_page_has_all_light_and_then_each_symbol(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("z_m", "least_m"), [(0.0, 0.01), (4e-4, 0.01), (0.05, 0.05)])
-def test_the_pose_shows_height_on_an_axis_of_a_centimetre_at_least(
-    z_m: float, least_m: float, small_simulation: Simulation, table: pa.Table
-) -> None:
+def test_the_pose_shows_height_on_an_axis_of_a_centimetre_at_least(z_m, least_m, small_simulation, table):
     function = small_simulation.symbol.function
     held = {"x_m": function.x_m, "y_m": function.y_m + 1e-4, "roll_deg": 0.0, "pitch_deg": 0.0, "z_m": z_m}
     for name, value in held.items():
@@ -123,9 +119,7 @@ def test_the_pose_shows_height_on_an_axis_of_a_centimetre_at_least(
     assert low <= -0.01 and least_m <= high < 1.2 * least_m  # matplotlib leaves 5 % of the range free
 
 
-def test_evaluations_far_apart_are_joined_and_where_there_are_none_the_chart_says_why(
-    small_simulation: Simulation, table: pa.Table
-) -> None:
+def test_evaluations_far_apart_are_joined_and_where_there_are_none_the_chart_says_why(small_simulation, table):
     at, function = table.column_names.index("iou"), small_simulation.symbol.function
     for iou, unsettled, told in (([0.5, None, None, 0.7] * 3, "too_short", []), ([None] * 12, "not_judged", ["not evaluated, b"])):
         axes = courses(function, table.set_column(at, "iou", pa.array(iou, pa.float64())), unsettled=unsettled, judge_every=None)
@@ -134,7 +128,7 @@ def test_evaluations_far_apart_are_joined_and_where_there_are_none_the_chart_say
         assert [text.get_text()[:16] for text in axes[2].texts if text.get_text()] == told
 
 
-def test_light_from_above_is_looked_at_closely_where_it_is() -> None:
+def test_light_from_above_is_looked_at_closely_where_it_is():
     def look(view: View) -> torch.Tensor:
         """1 lx on 3 m by 0.5 m, about a place 22 m ahead and 1 m to the left."""
         rays = view.rays()
@@ -151,7 +145,7 @@ def test_light_from_above_is_looked_at_closely_where_it_is() -> None:
     assert left < 20 and right > 24 and low < 0 and high > 2
 
 
-def test_path_is_the_centroid_in_the_image(small_results: list[StepResult]) -> None:
+def test_path_is_the_centroid_in_the_image(small_results):
     gathered = SymbolHistory("symbol", 2)
     gathered.add(small_results[0])
     gathered.add(lost(small_results[1]))
@@ -161,7 +155,7 @@ def test_path_is_the_centroid_in_the_image(small_results: list[StepResult]) -> N
 
 
 @pytest.mark.parametrize("report", [True, False])
-def test_a_run_reports_if_wanted_and_leaves_no_simulation_behind(report: bool, tmp_path: Path, small_scenario: Scenario) -> None:
+def test_a_run_reports_if_wanted_and_leaves_no_simulation_behind(report, tmp_path, small_scenario):
     def simulations() -> int:
         return sum(type(each) is Simulation for each in gc.get_objects())
 

@@ -2,7 +2,6 @@
 
 import math
 
-import pytest
 from rich.console import Console
 
 from luxloop.loop.report import terminal
@@ -12,7 +11,7 @@ COLUMNS = ("road", "step", "IoU", "")
 ROWS = [("flat", 3, "0.98", "reached"), ("curb", 12, number(None), "")]
 
 
-def test_markdown_aligns_columns_that_have_no_letter_as_the_last() -> None:
+def test_markdown_aligns_columns_that_have_no_letter_as_the_last():
     assert markdown_table(COLUMNS, ROWS, "lrrl").splitlines() == [
         "| road | step | IoU |  |",
         "| --- | ---: | ---: | --- |",
@@ -22,7 +21,7 @@ def test_markdown_aligns_columns_that_have_no_letter_as_the_last() -> None:
     assert markdown_table(COLUMNS, []).splitlines()[1] == "| --- | ---: | ---: | ---: |"
 
 
-def test_the_terminal_aligns_alike() -> None:
+def test_the_terminal_aligns_alike():
     console = Console(record=True, width=60)
     console.print(plain(COLUMNS, ROWS, "lrrl", caption="below"))
     lines = [line.rstrip() for line in console.export_text().splitlines()]
@@ -30,9 +29,7 @@ def test_the_terminal_aligns_alike() -> None:
     assert [number(value, ".1f", " lx") for value in (1.25, None, math.nan)] == ["1.2 lx", "–", "–"]
 
 
-def test_a_log_gets_a_line_now_and_then_and_what_is_quick_says_nothing(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_log_gets_a_line_now_and_then_and_what_is_quick_says_nothing(capsys, monkeypatch):
     now_s = 100.0
     monkeypatch.setattr(terminal.time, "monotonic", lambda: now_s)
     with progress("night [1]", 7, 2) as advance:

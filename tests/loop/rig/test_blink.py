@@ -12,7 +12,7 @@ from luxloop.loop.rig import blink
 from luxloop.loop.rig.matching import Regularity, shows
 from luxloop.loop.rig.params import TimingParams
 from luxloop.loop.rig.rig import Rig, await_camera, open_rig
-from tests.loop.rig.conftest import Process, Start, eventually
+from tests.loop.rig.conftest import Process, eventually
 
 PERIOD_S, EXPOSURE_S, READOUT_S, LIGHT_S, REST_S = 1 / 30, 0.015, 0.003, 0.004, 0.03
 LEAST_S = LIGHT_S + EXPOSURE_S + READOUT_S + REST_S  # latency without jitter
@@ -48,7 +48,7 @@ def contents(found: blink.BlinkResult, looks: blink.BlinkPictures, part: np.ndar
 
 
 @pytest.mark.parametrize("jitter_s", [0.0, 0.01, 0.02])
-def test_the_mean_latency_is_found_through_jitter(jitter_s: float) -> None:
+def test_the_mean_latency_is_found_through_jitter(jitter_s):
     found = [blink.evaluate(drawn(seed, jitter_s)[0], BLINKS) for seed in range(8)]
     # A hundred blinks give 3 pictures a ms, at random times, so that the mean scatters by sqrt(J / 9 ms): by 1.5 ms at J = 20 ms
     scatter_s = 0.0005 + math.sqrt(jitter_s * PERIOD_S / BLINKS / 3)
@@ -58,7 +58,7 @@ def test_the_mean_latency_is_found_through_jitter(jitter_s: float) -> None:
     assert not any("clear" in contents(each, others, others.least < 1 - others.seen) for each in found)
 
 
-def test_pictures_that_are_stuck_leave_the_latency_as_it_is() -> None:
+def test_pictures_that_are_stuck_leave_the_latency_as_it_is():
     looks, late_s = drawn(0, 0.01, stuck=0.03)
     found = blink.evaluate(looks, BLINKS)
     assert abs(found.latency_s - LEAST_S - 0.005) < 0.003
@@ -67,7 +67,7 @@ def test_pictures_that_are_stuck_leave_the_latency_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("jitter_s", [0.0, 0.01])
-def test_a_drift_is_told_and_its_scatter_is_not(jitter_s: float) -> None:
+def test_a_drift_is_told_and_its_scatter_is_not(jitter_s):
     steady, drifting = ([blink.evaluate(drawn(seed, jitter_s, drift=each)[0], BLINKS) for seed in range(8)] for each in (0.0, -0.015 / 60))
     # Four standard deviations, of which 50 draws tell 10 %. With jitter, 15 ms a minute are three of them, so that some are not told.
     assert all(abs(each.drift_s_per_min[0]) < 4 * each.drift_s_per_min[1] + 0.0003 for each in steady)
@@ -95,7 +95,7 @@ def first_s(looks: blink.BlinkPictures) -> float:
 
 
 @pytest.mark.usefixtures("fast")
-def test_a_camera_that_drops_out_voids_its_blinks(small_rig: Start) -> None:
+def test_a_camera_that_drops_out_voids_its_blinks(small_rig):
     process = small_rig(dark_s=0.5, mute_after_s=2.0, mute_for_s=0.6)
     darkened = []
     looks = watched(process, 20, lambda rig: darkened.append(rig.keeper.reason))
@@ -105,7 +105,7 @@ def test_a_camera_that_drops_out_voids_its_blinks(small_rig: Start) -> None:
 
 
 @pytest.mark.usefixtures("fast")
-def test_black_after_darkness_is_no_change_of_light(small_rig: Start) -> None:
+def test_black_after_darkness_is_no_change_of_light(small_rig):
     reasons = list[str]()
 
     def advance(rig: Rig) -> None:
@@ -124,7 +124,7 @@ def test_black_after_darkness_is_no_change_of_light(small_rig: Start) -> None:
 
 
 @pytest.mark.usefixtures("fast")
-def test_a_rig_that_stays_away_ends_the_test_in_a_sentence(small_rig: Start) -> None:
+def test_a_rig_that_stays_away_ends_the_test_in_a_sentence(small_rig):
     process = small_rig(dark_s=0.5)
     with pytest.raises(blink.LuxloopError, match=r"blink: (camera|light)"):
         watched(process, 10, lambda rig: process.kill())

@@ -10,7 +10,7 @@ from luxloop.loop.rig.params import UdpEgoParams
 from tests.loop.rig.conftest import eventually, free_port
 
 
-def test_samples_come_with_the_plants_time_and_others_are_refused() -> None:
+def test_samples_come_with_the_plants_time_and_others_are_refused():
     port = free_port(socket.SOCK_DGRAM)
     ego = UdpEgo(UdpEgoParams(kind="udp", port=port, latency_s=0.01))
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -35,5 +35,5 @@ def test_samples_come_with_the_plants_time_and_others_are_refused() -> None:
     [b"\xff", b'"values"', b"[" * 4000, encode("gyro", float("nan"), 0, (1,)), encode("gyro", 0, 0, ()), encode("gyro", 0, 0, (1,) * 65),
      b" " * 5000 + encode("gyro", 0, 0, (1,)), b'{"sensor": "gyro", "measured_s": 0, "sent_s": 0, "values": [1e999]}'],
 )  # fmt: skip
-def test_a_datagram_without_a_sample_is_none(datagram: bytes) -> None:
+def test_a_datagram_without_a_sample_is_none(datagram):
     assert decode(datagram) is None

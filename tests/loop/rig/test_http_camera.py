@@ -55,7 +55,7 @@ def camera_of(host: str, login: str = "") -> HttpCamera:
         (4 * (MOVED,), "from one address to another"),
     ],
 )
-def test_a_server_that_is_no_camera_is_told(answer: bytes | tuple[bytes, ...], words: str) -> None:
+def test_a_server_that_is_no_camera_is_told(answer, words):
     host, _ = answering(*(answer if isinstance(answer, tuple) else (answer,)))
     with refusal(words):
         camera_of(host)
@@ -71,13 +71,13 @@ def test_a_server_that_is_no_camera_is_told(answer: bytes | tuple[bytes, ...], w
     ],
     ids=["zeros", "preamble and blanks", "audio", "empty"],
 )
-def test_pictures_are_found_among_what_cameras_send(body: bytes) -> None:
+def test_pictures_are_found_among_what_cameras_send(body):
     source = camera_of(answering(HEAD + body)[0])
     assert [picture.data for _ in range(3) if (picture := source.read(0.2))] == [b"abc"]
     source.close()
 
 
-def test_a_camera_asks_for_a_login_and_leads_elsewhere() -> None:
+def test_a_camera_asks_for_a_login_and_leads_elsewhere():
     host, requests = answering(MOVED, CHALLENGE, HEAD)
     camera_of(host, "me:s%20cret@").close()
     assert requests[1].startswith(b"GET /there?x=1 ") and b"Authorization" not in requests[1]
@@ -93,7 +93,7 @@ def test_a_camera_asks_for_a_login_and_leads_elsewhere() -> None:
     assert b"Authorization: Basic bWU6cHc=" in requests[1]
 
 
-def test_a_camera_that_is_silent_or_drips_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_camera_that_is_silent_or_drips_is_given_up(monkeypatch):
     monkeypatch.setattr(http_camera, "SLOW_S", 0.5)
     with refusal(r"does not answer within 0\.5 s"):
         camera_of(answering(b"")[0])
@@ -109,7 +109,7 @@ def test_a_camera_that_is_silent_or_drips_is_given_up(monkeypatch: pytest.Monkey
     source.close()
 
 
-def test_pictures_from_a_queue_are_told_from_those_that_were_awaited() -> None:
+def test_pictures_from_a_queue_are_told_from_those_that_were_awaited():
     """Also where the boundary of the next picture follows at once, as many cameras send it."""
     sent_s = list[float]()
 

@@ -59,7 +59,7 @@ def kept() -> Iterator[Callable[..., tuple[Lamp, Keeper]]]:
         each.close()
 
 
-def test_a_lamp_whose_code_fails_is_darkened_until_that_is_done(kept: Callable[..., tuple[Lamp, Keeper]]) -> None:
+def test_a_lamp_whose_code_fails_is_darkened_until_that_is_done(kept):
     lamp, keeper = kept(keep_alive_s=0.01)
     lamp.fails = {"show", "dark"}
     assert eventually(lambda: lamp.asked.count("dark") > 2, 2)
@@ -73,7 +73,7 @@ def test_a_lamp_whose_code_fails_is_darkened_until_that_is_done(kept: Callable[.
     assert keeper.show(SHINE) is None and keeper.since_s is not None
 
 
-def test_only_a_loop_and_a_camera_that_are_alive_keep_the_lamp_lit() -> None:
+def test_only_a_loop_and_a_camera_that_are_alive_keep_the_lamp_lit():
     fault: list[str] = []
     for dead in ("loop", "camera"):
         lamp = Lamp()
@@ -92,7 +92,7 @@ def test_only_a_loop_and_a_camera_that_are_alive_keep_the_lamp_lit() -> None:
             assert keeper.reason == ("camera: no picture" if fault else "the loop has said nothing for 0.3 s")
 
 
-def test_a_gap_is_told_before_the_thread_has_seen_it(kept: Callable[..., tuple[Lamp, Keeper]]) -> None:
+def test_a_gap_is_told_before_the_thread_has_seen_it(kept):
     _, keeper = kept(keep_alive_s=5.0, dark_after_s=0.5)
     assert keeper.since_s is not None
     time.sleep(0.5)
@@ -100,7 +100,7 @@ def test_a_gap_is_told_before_the_thread_has_seen_it(kept: Callable[..., tuple[L
     assert keeper.since_s is None and keeper.interruptions == 1
 
 
-def test_a_lamp_that_hangs_is_told_to_go_dark_at_the_end(kept: Callable[..., tuple[Lamp, Keeper]], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lamp_that_hangs_is_told_to_go_dark_at_the_end(kept, monkeypatch):
     monkeypatch.setattr(keeper, "CLOSE_S", 0.1)
     lamp, kept_alive = kept(keep_alive_s=0.01)
     lamp.hangs = True
@@ -112,7 +112,7 @@ def test_a_lamp_that_hangs_is_told_to_go_dark_at_the_end(kept: Callable[..., tup
     lamp.goes_on.set()
 
 
-def test_a_lamp_that_does_not_go_dark_is_left_all_the_same(kept: Callable[..., tuple[Lamp, Keeper]]) -> None:
+def test_a_lamp_that_does_not_go_dark_is_left_all_the_same(kept):
     lamp, keeper = kept()
     lamp.fails = {"dark"}
     with pytest.raises(RuntimeError, match="no dark"):

@@ -1,7 +1,6 @@
 """Light as a device gets it: order of pixels, limits, files."""
 
 import json
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,7 +13,7 @@ from luxloop.world.headlight.lamp import ModuleCommand
 from tests.refusal import refusal
 
 
-def test_pixels_go_out_in_the_order_of_the_device() -> None:
+def test_pixels_go_out_in_the_order_of_the_device():
     # rows of the picture: 0 1 2 / 3 4 5
     assert places(ScanParams(), 2, 3).tolist() == [0, 1, 2, 3, 4, 5]
     assert places(ScanParams(columns_first=True), 2, 3).tolist() == [0, 3, 1, 4, 2, 5]
@@ -22,14 +21,14 @@ def test_pixels_go_out_in_the_order_of_the_device() -> None:
     assert places(ScanParams(serpentine=True), 2, 3).tolist() == [0, 1, 2, 5, 4, 3]
 
 
-def test_power_in_watts_dims_and_module_intensity_counts() -> None:
+def test_power_in_watts_dims_and_module_intensity_counts():
     shine = Shine(0, (np.ones((2, 4), np.float32), np.ones((2, 4), np.float32)), (ModuleCommand(), ModuleCommand(intensity=0.5)))
     assert shine.share == 0.75
     given = limit(shine, None, 1.0, LimitParams(power_w=30.0, full_w=80.0))
     assert given.dimmed == pytest.approx(0.5) and given.shine.share == pytest.approx(0.375)
 
 
-def test_a_fast_change_is_made_in_part_and_arrives() -> None:
+def test_a_fast_change_is_made_in_part_and_arrives():
     limits, stands = LimitParams(change_per_s=1.0), None
     shares = []
     for number in range(5):
@@ -39,7 +38,7 @@ def test_a_fast_change_is_made_in_part_and_arrives() -> None:
     assert shares == pytest.approx([0.25, 0.5, 0.75, 0.9, 0.9])
 
 
-def test_light_goes_into_files_whole_with_commands_and_dark(tmp_path: Path) -> None:
+def test_light_goes_into_files_whole_with_commands_and_dark(tmp_path):
     light = FilesLight(FilesLightParams(kind="files", folder=tmp_path, bits=16))
     pictures = (np.linspace(0, 1, 12, dtype=np.float32).reshape(3, 4), np.ones((1, 2), np.float32))
     assert light.show(Shine(7, pictures, (ModuleCommand(swivel_deg=3.0), ModuleCommand()))) is None

@@ -14,14 +14,14 @@ from tests.refusal import refusal
 MARK = MarkParams(row=2, column=4, rows=4, columns=16, u_px=40, v_px=20, width_px=160, height_px=40)
 
 
-def test_a_frame_counts_when_all_earlier_light_must_be_gone() -> None:
+def test_a_frame_counts_when_all_earlier_light_must_be_gone():
     timing = TimingParams(latency_s=0.05, jitter_s=0.02, rolling_s=0.03)
     assert [shows(lag_s, timing) for lag_s in (-0.1, 0.0199, 0.021, 0.0699, 0.0701)] == ["old", "old", "mixed", "mixed", "clear"]
     # The rhythm by which a picture is 0.1 s late may itself be late by half of the jitter.
     assert [shows(lag_s, timing, 0.1) for lag_s in (0.0199, 0.1599, 0.1601)] == ["old", "mixed", "clear"]
 
 
-def test_a_picture_that_is_stuck_is_late_and_so_are_those_behind_it() -> None:
+def test_a_picture_that_is_stuck_is_late_and_so_are_those_behind_it():
     regularity = Regularity()
     drawn = np.random.default_rng(0)
     late = [regularity.late(k / 30 + 0.01 * drawn.random()) for k in range(200)]
@@ -37,7 +37,7 @@ def test_a_picture_that_is_stuck_is_late_and_so_are_those_behind_it() -> None:
     assert all(late_s == pytest.approx(true_s, abs=0.01) for late_s, true_s in jammed)
 
 
-def test_a_mark_names_the_exposure_modulo_four_or_none() -> None:
+def test_a_mark_names_the_exposure_modulo_four_or_none():
     dark = (np.zeros((20, 30), np.float32),)
     images = []
     for number in range(9):
@@ -49,7 +49,7 @@ def test_a_mark_names_the_exposure_modulo_four_or_none() -> None:
         assert read_mark((before + after) / 2, MARK) is None
 
 
-def test_a_mark_is_within_the_limit_of_power() -> None:
+def test_a_mark_is_within_the_limit_of_power():
     limits = limits_beside_mark(LimitParams(power_w=20.0, full_w=80.0), MARK, ((20, 30),))
     given = limit(Shine(1, (np.ones((20, 30), np.float32),)), None, 1.0, limits)
     assert 0.2 < Shine(1, draw_mark(given.shine.pictures, MARK, 1)).share < 0.25

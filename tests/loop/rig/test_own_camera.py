@@ -74,7 +74,7 @@ def shine(number: int) -> Shine:
     return Shine(number, (np.full(GRID, 0.5, np.float32),))
 
 
-def test_a_triggered_camera_gives_a_frame_an_exposure_also_after_a_pause(tmp_path: Path) -> None:
+def test_a_triggered_camera_gives_a_frame_an_exposure_also_after_a_pause(tmp_path):
     with rig_of(params(tmp_path, "Triggered", triggered=True)) as rig:
         assert await_camera(rig) and look(rig, 0.2)["rate_hz"] > 10
         for number in range(3):
@@ -84,7 +84,7 @@ def test_a_triggered_camera_gives_a_frame_an_exposure_also_after_a_pause(tmp_pat
         assert reasons[-1] == "", reasons
 
 
-def test_pictures_that_never_end_do_not_hold_an_exposure_up(tmp_path: Path) -> None:
+def test_pictures_that_never_end_do_not_hold_an_exposure_up(tmp_path):
     given = params(tmp_path, "Ceaseless")
     patient = given.light.model_copy(update={"dark_after_s": 60.0})  # the keeper gets its turn late beside such a camera
     with rig_of(given.model_copy(update={"light": patient})) as rig:
@@ -105,12 +105,12 @@ def test_pictures_that_never_end_do_not_hold_an_exposure_up(tmp_path: Path) -> N
         ("picture", "read gives a str; return a luxloop.CameraPicture"),
     ],
 )
-def test_what_is_no_picture_is_refused(given: object, words: str) -> None:
+def test_what_is_no_picture_is_refused(given, words):
     with refusal(words):
         check_picture(given)
 
 
-def test_numbers_beyond_those_of_the_camera_are_told_in_a_calibration(tmp_path: Path) -> None:
+def test_numbers_beyond_those_of_the_camera_are_told_in_a_calibration(tmp_path):
     given = params(tmp_path, "Deep", bits=12)
 
     def ready(rig: Rig) -> None:

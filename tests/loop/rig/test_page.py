@@ -64,7 +64,7 @@ def iou_in(text: str) -> float:
     return float(found[1])
 
 
-def test_the_first_run_of_the_page(tmp_path: Path) -> None:
+def test_the_first_run_of_the_page(tmp_path):
     commands = commands_of("First run")
     assert len(commands) == 6
     said = follow(commands, tmp_path, lambda _, text: text)
@@ -73,7 +73,7 @@ def test_the_first_run_of_the_page(tmp_path: Path) -> None:
     assert 0.02 < load_rig(tmp_path / "rig.toml").timing.latency_s < 0.1
 
 
-def test_half_a_day_on_a_rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_half_a_day_on_a_rig(tmp_path, monkeypatch):
     """Calibration from nothing, a digitised lamp, and a symbol by it."""
     monkeypatch.chdir(tmp_path)
     commands = commands_of("A table-top rig")

@@ -1,7 +1,5 @@
 """The rig file: its paths, and mistakes in it."""
 
-from pathlib import Path
-
 import pytest
 
 from luxloop.loop.rig.lights import open_light
@@ -25,14 +23,14 @@ from tests.loop.rig.conftest import WHOLE
         ('kind = "ddp"\nhost = "192.168.1.20"', 'kind = "mine:Lamp"', "give --allow-code"),
     ],
 )
-def test_a_wrong_rig_file_is_a_sentence(rig_file: Path, old: str, new: str, words: str) -> None:
+def test_a_wrong_rig_file_is_a_sentence(rig_file, old, new, words):
     rig_file.write_text(WHOLE.replace(old, new))
     with pytest.raises(LuxloopError) as caught:
         load_rig(rig_file)
     assert str(rig_file) in str(caught.value) and words in str(caught.value)
 
 
-def test_files_and_modules_of_a_rig_file_lie_beside_it(rig_file: Path) -> None:
+def test_files_and_modules_of_a_rig_file_lie_beside_it(rig_file):
     (rig_file.parent / "mine.py").write_text("class Lamp:\n    pass\n")
     text = WHOLE.replace('kind = "ddp"\nhost = "192.168.1.20"', 'kind = "mine:Lamp"') + '[calibration]\nfile = "rig.npz"\n'
     rig_file.write_text(text)

@@ -53,7 +53,7 @@ def seen(rig: tuple[Lux, Process]) -> Iterator[list[float]]:
         yield levels
 
 
-def test_pictures_are_taken_as_they_come_and_the_lamp_stays_dark(rig: tuple[Lux, Process], seen: list[float]) -> None:
+def test_pictures_are_taken_as_they_come_and_the_lamp_stays_dark(rig, seen):
     lux, _ = rig
     code, out, err = lux("rig", "take", "rig.toml", "--count", "3", "--every-s", "0.05")
     assert (code, err) == (0, "") and "boards written: 3 pictures" in out
@@ -64,7 +64,7 @@ def test_pictures_are_taken_as_they_come_and_the_lamp_stays_dark(rig: tuple[Lux,
     assert cv2.imread("screen.png", cv2.IMREAD_UNCHANGED).shape == (48, 64)
 
 
-def test_all_pixels_are_lit_for_a_while_and_dark_again(rig: tuple[Lux, Process], seen: list[float]) -> None:
+def test_all_pixels_are_lit_for_a_while_and_dark_again(rig, seen):
     lux, _ = rig
     code, out, err = lux("rig", "light", "rig.toml", "--arm", "--scenario", "lamp.toml", "--level", "0.5", "--seconds", "0.5")
     assert (code, err) == (0, "") and "dark again" in out
@@ -73,7 +73,7 @@ def test_all_pixels_are_lit_for_a_while_and_dark_again(rig: tuple[Lux, Process],
     assert seen[-1] == DARK
 
 
-def test_unarmed_nothing_is_lit(rig: tuple[Lux, Process], seen: list[float]) -> None:
+def test_unarmed_nothing_is_lit(rig, seen):
     lux, _ = rig
     code, out, _ = lux("rig", "light", "rig.toml", "--scenario", "lamp.toml")
     assert code == 0 and "all 192 pixels would be lit for 60 s; give --arm" in out
@@ -88,7 +88,7 @@ def test_unarmed_nothing_is_lit(rig: tuple[Lux, Process], seen: list[float]) -> 
         (["light", "rig.toml", "--arm", "--scenario", "lamp.toml"], "[limits]\npower = 0.25\n", "let 25% of it through"),
     ],
 )
-def test_mistakes_are_told_in_a_sentence(rig: tuple[Lux, Process], arguments: list[str], limits: str, told: str) -> None:
+def test_mistakes_are_told_in_a_sentence(rig, arguments, limits, told):
     lux, _ = rig
     with Path("rig.toml").open("a") as file:
         file.write(limits)

@@ -2,7 +2,6 @@
 
 import io
 import zipfile
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -19,7 +18,7 @@ from tests.loop.rig.conftest import WHOLE
 from tests.refusal import refusal
 
 
-def test_pictures_are_cut_scaled_and_straightened(rig_file: Path, tmp_path: Path) -> None:
+def test_pictures_are_cut_scaled_and_straightened(rig_file, tmp_path):
     camera = CameraParams(width_px=64, height_px=48, bits=12, hfov_deg=40.0)
     rig_file.write_text(WHOLE + "crop = { u_px = 3, v_px = 2, width_px = 64, height_px = 48 }\n")
     picture = np.random.default_rng(0).integers(0, 256, (60, 80), dtype=np.uint8)
@@ -44,7 +43,7 @@ def test_pictures_are_cut_scaled_and_straightened(rig_file: Path, tmp_path: Path
     assert centre == pytest.approx((32 + focal_px * 0.2, 24 - focal_px * 0.1), abs=0.1)  # of a straight pinhole camera
 
 
-def test_a_calibration_of_another_depth_or_beyond_all_memory_is_refused(rig_file: Path, tmp_path: Path) -> None:
+def test_a_calibration_of_another_depth_or_beyond_all_memory_is_refused(rig_file, tmp_path):
     rig_file.write_text(WHOLE + '[calibration]\nfile = "rig.npz"\n')
     camera, matrix = CameraParams(width_px=64, height_px=48), np.array([[90.0, 0, 32], [0, 90, 24], [0, 0, 1]])
     good = {"size_px": [64, 48], "camera_matrix": matrix, "distortion": np.zeros(5)}
@@ -61,13 +60,13 @@ def test_a_calibration_of_another_depth_or_beyond_all_memory_is_refused(rig_file
 
 
 @pytest.mark.parametrize(("data", "words"), [(b"no picture", "damaged"), (np.zeros((10, 10), np.uint8), "10 x 10 px, where the scenario")])
-def test_a_picture_that_is_none_is_refused(rig_file: Path, data: bytes | np.ndarray, words: str) -> None:
+def test_a_picture_that_is_none_is_refused(rig_file, data, words):
     with pytest.raises(WrongPicture, match=words):
         rectifier(load_rig(rig_file), CameraParams(width_px=64, height_px=48))(data)
 
 
 @pytest.mark.parametrize("ending", [".jpg", ".png"])
-def test_half_a_picture_is_refused(ending: str) -> None:
+def test_half_a_picture_is_refused(ending):
     whole = cv2.imencode(ending, np.random.default_rng(0).integers(0, 256, (48, 64), np.uint8))[1].tobytes()
     assert grey(whole).shape == (48, 64)
     for cut in (len(whole) // 2, len(whole) - 30):
@@ -75,7 +74,7 @@ def test_half_a_picture_is_refused(ending: str) -> None:
             grey(whole[:cut])
 
 
-def test_damaged_pictures_of_a_stream_are_left_out(tmp_path: Path) -> None:
+def test_damaged_pictures_of_a_stream_are_left_out(tmp_path):
     noise = np.random.default_rng(0).integers(0, 20, (48, 64), np.uint8)
     pictures = [cv2.imencode(".jpg", noise + np.uint8(40 * k))[1].tobytes() for k in range(6)]
     pictures[2] = pictures[2][: len(pictures[2]) * 2 // 3]

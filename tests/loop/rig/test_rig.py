@@ -12,7 +12,7 @@ import pytest
 from luxloop.loop.rig.light import Shine
 from luxloop.loop.rig.rig import Rig, RigFrame, await_camera, open_rig
 from luxloop.perception.camera import CameraParams
-from tests.loop.rig.conftest import DDP, Process, Start, eventually, free_port
+from tests.loop.rig.conftest import DDP, Process, eventually, free_port
 from tests.refusal import refusal
 
 GRID = (12, 16)
@@ -55,7 +55,7 @@ def steady() -> Iterator[Process]:
         yield process
 
 
-def test_each_frame_shows_its_own_exposure_alone(steady: Process) -> None:
+def test_each_frame_shows_its_own_exposure_alone(steady):
     with rig_of(steady) as rig:
         for number in range(20):
             given, taken = rig.expose(shine(number), 0.001)
@@ -69,7 +69,7 @@ def test_each_frame_shows_its_own_exposure_alone(steady: Process) -> None:
         assert taken.image is not None and said(taken.image) == {21}
 
 
-def test_a_loop_that_says_nothing_leaves_the_lamp_dark_and_light_comes_back_slowly(steady: Process, small_rig: Start) -> None:
+def test_a_loop_that_says_nothing_leaves_the_lamp_dark_and_light_comes_back_slowly(steady, small_rig):
     with rig_of(small_rig(dark_s=PATIENT_S), limits={"loop_s": 0.2}) as rig:
         frame_of(rig, 0)
         assert eventually(lambda: rig.keeper.darkened == 1, 2)
@@ -83,7 +83,7 @@ def test_a_loop_that_says_nothing_leaves_the_lamp_dark_and_light_comes_back_slow
         assert given.slowed < 0.5 and given.shine.share < 0.4
 
 
-def test_with_jitter_and_lost_packets_a_frame_is_right_or_lost(small_rig: Start) -> None:
+def test_with_jitter_and_lost_packets_a_frame_is_right_or_lost(small_rig):
     process = small_rig(20_000, jitter_s=0.02, loss=0.01)  # 14 packets a frame, of which one is lost in every seventh
     timing = {"latency_s": 0.02, "jitter_s": 0.03, "rolling_s": 0.03, "wait_s": 0.6}
     light = {**DDP, "port": process.light, "repeats": 4}
@@ -98,7 +98,7 @@ def test_with_jitter_and_lost_packets_a_frame_is_right_or_lost(small_rig: Start)
         assert came > 30
 
 
-def test_a_camera_that_stops_darkens_the_lamp_and_comes_back(small_rig: Start) -> None:
+def test_a_camera_that_stops_darkens_the_lamp_and_comes_back(small_rig):
     with rig_of(small_rig(dark_s=PATIENT_S, mute_after_s=1.5, mute_for_s=1.2)) as rig:
         reasons, number, until_s = [], 0, time.monotonic() + 4.5
         while time.monotonic() < until_s:
@@ -112,7 +112,7 @@ def test_a_camera_that_stops_darkens_the_lamp_and_comes_back(small_rig: Start) -
         assert reasons[-1] == "" == reasons[0]
 
 
-def test_a_rig_that_is_killed_and_started_again(small_rig: Start) -> None:
+def test_a_rig_that_is_killed_and_started_again(small_rig):
     process = small_rig(dark_s=PATIENT_S)
     with rig_of(process) as rig:
         assert frame_of(rig, 0).image is not None
@@ -142,7 +142,7 @@ class Relay:
                 self._out.send(packet)
 
 
-def test_a_network_that_is_cut_leaves_the_lamp_dark_and_comes_back(small_rig: Start) -> None:
+def test_a_network_that_is_cut_leaves_the_lamp_dark_and_comes_back(small_rig):
     process = small_rig()
     relay = Relay(process.light)
     with rig_of(process, light={**DDP, "port": relay.port}) as rig:
@@ -156,7 +156,7 @@ def test_a_network_that_is_cut_leaves_the_lamp_dark_and_comes_back(small_rig: St
         assert taken.image is not None and said(taken.image) == {3}
 
 
-def test_pictures_that_do_not_fit_do_not_keep_the_lamp_lit(small_rig: Start) -> None:
+def test_pictures_that_do_not_fit_do_not_keep_the_lamp_lit(small_rig):
     process = small_rig(dark_s=60.0)
     with rig_of(process) as rig:
         assert frame_of(rig, 0).image is not None
@@ -170,7 +170,7 @@ def test_pictures_that_do_not_fit_do_not_keep_the_lamp_lit(small_rig: Start) -> 
         assert eventually(lambda: frame_of(rig, 2).image is not None, 5)
 
 
-def test_at_the_end_the_lamp_is_dark_at_once(small_rig: Start) -> None:
+def test_at_the_end_the_lamp_is_dark_at_once(small_rig):
     process = small_rig(dark_s=60.0)  # so that it does not darken by itself
     with pytest.raises(KeyboardInterrupt), rig_of(process) as rig:
         frame_of(rig, 0)

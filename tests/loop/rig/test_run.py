@@ -23,8 +23,8 @@ from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.simulated import simulated_plant
 from luxloop.world.arrays import read_parquet
-from tests.loop.conftest import Lux, assert_one_sentence
-from tests.loop.rig.conftest import ENVIRONMENT, FILE, PROGRAM, Start, eventually
+from tests.loop.conftest import assert_one_sentence
+from tests.loop.rig.conftest import ENVIRONMENT, FILE, PROGRAM, eventually
 from tests.refusal import refusal
 
 PIXELS = 332 * 64
@@ -32,7 +32,7 @@ PASSWORD = "Tr0ub4dor"
 SECRET = f"http://someone:{PASSWORD}@127.0.0.1:{{camera}}/camera?pwd={PASSWORD}"
 
 
-def test_a_scenario_runs_on_a_rig_and_is_recorded_with_its_twin(small_rig: Start, lux: Lux, tmp_path: Path) -> None:
+def test_a_scenario_runs_on_a_rig_and_is_recorded_with_its_twin(small_rig, lux, tmp_path):
     process, folder = small_rig(PIXELS, width=320, height=180), tmp_path / "runs/rig"
     given = ("--rig", process.file(tmp_path, url=SECRET), "--arm", "--out", "runs/rig", "--set", "camera.bits=8", "--no-video", "--twin")
     code, out, error = lux("run", "small.toml", *given)
@@ -71,7 +71,7 @@ def test_a_scenario_runs_on_a_rig_and_is_recorded_with_its_twin(small_rig: Start
 
 
 @pytest.mark.parametrize("death", ["light goes to another port", "killed in mid-run"])
-def test_a_run_on_a_dead_rig_fails_and_is_kept(small_rig: Start, lux: Lux, tmp_path: Path, death: str) -> None:
+def test_a_run_on_a_dead_rig_fails_and_is_kept(small_rig, lux, tmp_path, death):
     process = small_rig(PIXELS, width=320, height=180)
     if death == "killed in mid-run":
         frames = tmp_path / "runs/rig/frames"
@@ -90,7 +90,7 @@ def test_a_run_on_a_dead_rig_fails_and_is_kept(small_rig: Start, lux: Lux, tmp_p
         assert f"at step {metrics['exposure'] // 2}," in out and metrics["exposure"] <= 40 - told["silent"]
 
 
-def test_a_rig_check_fails_where_the_pictures_do_not_fit(small_rig: Start, lux: Lux, tmp_path: Path) -> None:
+def test_a_rig_check_fails_where_the_pictures_do_not_fit(small_rig, lux, tmp_path):
     code, out, error = lux("rig", "check", small_rig(PIXELS).file(tmp_path), "--scenario", "small.toml")  # 64 x 48 px
     assert code == 2 and "64 x 48 px at" in out and "64 x 48 px, where" in error
     assert_one_sentence(error)
@@ -105,7 +105,7 @@ def test_a_rig_check_fails_where_the_pictures_do_not_fit(small_rig: Start, lux: 
         (("run", "small.toml", "--rig", "rig.toml", "--arm"), "Connection refused"),
     ],
 )
-def test_what_cannot_run_says_so(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], words: str) -> None:
+def test_what_cannot_run_says_so(lux, tmp_path, monkeypatch, arguments, words):
     monkeypatch.setattr("luxloop.loop.rig.rig.await_camera.__defaults__", (0.5,))
     Path("rig.toml").write_text(FILE.format(light=4048, url="http://127.0.0.1:9/camera"))
     code, _, error = lux(*arguments)
@@ -122,7 +122,7 @@ def test_what_cannot_run_says_so(lux: Lux, tmp_path: Path, monkeypatch: pytest.M
         ("stream", f"rtsp://a:{PASSWORD}@127.0.0.1:9/"),
     ],
 )
-def test_no_message_tells_a_password(lux: Lux, monkeypatch: pytest.MonkeyPatch, kind: str, url: str) -> None:
+def test_no_message_tells_a_password(lux, monkeypatch, kind, url):
     monkeypatch.setattr("luxloop.loop.rig.rig.await_camera.__defaults__", (0.5,))
     Path("rig.toml").write_text(FILE.format(light=4048, url=url).replace("http", kind, 1))
     code, out, error = lux("rig", "check", "rig.toml", "--scenario", "small.toml")
@@ -132,7 +132,7 @@ def test_no_message_tells_a_password(lux: Lux, monkeypatch: pytest.MonkeyPatch, 
 @pytest.mark.parametrize(
     "wrong", ["[light]\nx = 1\n  [timing]\nwait_s = 2\n", "timing = { wait_s = 2 }\n[light]\nx = 1\n", "timing.wait_s = 2\n"]
 )
-def test_values_are_put_into_a_table_timing_or_nowhere(tmp_path: Path, wrong: str) -> None:
+def test_values_are_put_into_a_table_timing_or_nowhere(tmp_path, wrong):
     file = tmp_path / "rig.toml"
     file.write_text("[timing]  # mine\nwait_s = 2\njitter_s = 0.5  # measured\n\n[light]\nx = 1\n")
     write_timing(file, {"latency_s": 0.03, "jitter_s": 0.02})
@@ -145,7 +145,7 @@ def test_values_are_put_into_a_table_timing_or_nowhere(tmp_path: Path, wrong: st
 
 @pytest.mark.slow
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGHUP])
-def test_a_loop_that_ends_leaves_the_lamp_dark(end: signal.Signals, small_rig: Start, lux: Lux, tmp_path: Path) -> None:
+def test_a_loop_that_ends_leaves_the_lamp_dark(end, small_rig, lux, tmp_path):
     """A killed loop by the lamp's own time-out of 0.1 s; one whose terminal closes by dark packets, which a lamp without it needs."""
     process = small_rig(PIXELS, width=320, height=180, dark_s=60.0 if end == signal.SIGHUP else 0.1)
     command = [*PROGRAM, "run", "small.toml", "--rig", process.file(tmp_path), "--arm", "--steps", "2000"]

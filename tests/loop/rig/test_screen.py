@@ -68,7 +68,7 @@ def pictures_of(seed: int) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
     return tuple((each / np.float32(255)).astype(np.float32) for each in codes), screen
 
 
-def test_pixels_on_the_screen_are_those_sent(browser: webdriver.Chrome, light: ScreenLight) -> None:
+def test_pixels_on_the_screen_are_those_sent(browser, light):
     for number in range(3):
         pictures, codes = pictures_of(number)
         assert light.show(Shine(number, pictures)) is None
@@ -78,7 +78,7 @@ def test_pixels_on_the_screen_are_those_sent(browser: webdriver.Chrome, light: S
         assert (seen[:60, :300] == codes[..., None]).all() and not seen[61:].any()
 
 
-def test_the_page_darkens_by_itself_and_when_told(browser: webdriver.Chrome, light: ScreenLight) -> None:
+def test_the_page_darkens_by_itself_and_when_told(browser, light):
     light.show(Shine(0, pictures_of(0)[0]))
     light.dark()
     time.sleep(0.2)

@@ -44,7 +44,7 @@ def shine(number: int) -> Shine:
     return Shine(number, (np.full((2, 3), 0.5, np.float32),))
 
 
-def test_light_is_in_doubt_once_its_page_has_darkened_or_another_has_come() -> None:
+def test_light_is_in_doubt_once_its_page_has_darkened_or_another_has_come():
     light = ScreenLight(ScreenLightParams(kind="screen", port=0), ((2, 3),))
     try:
         first = Page(light)
@@ -63,7 +63,7 @@ def test_light_is_in_doubt_once_its_page_has_darkened_or_another_has_come() -> N
 
 
 @pytest.mark.parametrize("host", ["a" * 100, "no.such.host.invalid", "203.0.113.7"])
-def test_an_address_that_is_none_is_a_sentence(host: str) -> None:
+def test_an_address_that_is_none_is_a_sentence(host):
     began_s = time.monotonic()
     with refusal(r"light\.port: cannot listen on"):
         ScreenLight(ScreenLightParams(kind="screen", host=host), ((2, 3),))

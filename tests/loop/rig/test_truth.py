@@ -62,7 +62,7 @@ def run_on(rig_params: RigParams) -> tuple[list[Any], dict[str, Any], float]:
     return taken, summary, float(metrics.iou)
 
 
-def test_with_jitter_lost_packets_and_flicker_no_frame_is_wrong(rig_of: Start) -> None:
+def test_with_jitter_lost_packets_and_flicker_no_frame_is_wrong(rig_of):
     rig = rig_of(*HARD)
     taken, summary, iou = run_on(rig.params(light={"repeats": 3}))
     assert not rig.wrong(taken) and len(taken) >= 50
@@ -70,7 +70,7 @@ def test_with_jitter_lost_packets_and_flicker_no_frame_is_wrong(rig_of: Start) -
     assert iou > 0.88
 
 
-def test_light_that_comes_late_is_told_by_its_mark(rig_of: Start) -> None:
+def test_light_that_comes_late_is_told_by_its_mark(rig_of):
     rig = rig_of(*HARD)
     timing = {"latency_s": 0.05, "jitter_s": 0.0, "rolling_s": 0.0}  # far too short: a frame lacks packets until it is sent again
     taken, summary, iou = run_on(rig.params(timing=timing, mark=MARK))

@@ -2,7 +2,6 @@
 
 import random
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -83,20 +82,20 @@ BROKEN = {
 
 
 @pytest.mark.parametrize(("text", "named"), BROKEN.values(), ids=BROKEN.keys())
-def test_broken_file_gives_one_sentence_with_file_key_and_remedy(file: Path, text: str, named: str) -> None:
+def test_broken_file_gives_one_sentence_with_file_key_and_remedy(file, text, named):
     file.write_text(text)
     message = failure(file)
     assert message.startswith(str(file)) and named in message
 
 
-def test_file_that_is_no_text(file: Path) -> None:
+def test_file_that_is_no_text(file):
     file.write_bytes(b'name = "M\xfcller"')
     assert "save it as UTF-8" in failure(file)
     file.write_bytes(bytes(range(256)))
     assert str(file) in failure(file)
 
 
-def test_missing_file_folder_and_unknown_name(tmp_path: Path) -> None:
+def test_missing_file_folder_and_unknown_name(tmp_path):
     named = {"snowflak": "did you mean 'snowflake'?", tmp_path / "none.toml": "luxloop new", tmp_path: "folder", "zzzz": "luxloop list"}
     assert all(words in failure(name) for name, words in named.items())
 
@@ -124,7 +123,7 @@ OF_A_KIND = {
 
 
 @pytest.mark.parametrize(("text", "of_the_kind"), OF_A_KIND.items(), ids=("held", "functions"))
-def test_all_errors_of_a_file_are_listed(text: str, of_the_kind: dict[str, str], file: Path) -> None:
+def test_all_errors_of_a_file_are_listed(text, of_the_kind, file):
     file.write_text('headlight.lamps = ["left", "right"]\n' + text + BOX)
     wrong = SEVERAL | of_the_kind
     with refusal(rf"^{file}.*: {len(wrong)} errors") as caught:
@@ -143,7 +142,7 @@ def leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 
 @pytest.mark.parametrize("name", scenario_files())
-def test_each_key_that_is_broken_is_named(name: str) -> None:
+def test_each_key_that_is_broken_is_named(name):
     rng = random.Random(name)
     alone = (".kind", ".controller.name", "schema_version")  # others of the table, or of the file, mean nothing once they are wrong
     keys = [(key, value) for key, value in leaves(load(name).model_dump(mode="json")) if value is not None and not key.endswith(alone)]
@@ -153,7 +152,7 @@ def test_each_key_that_is_broken_is_named(name: str) -> None:
     assert sorted(line.partition(": ")[0] for line in caught.value.args[1:]) == sorted(broken)
 
 
-def test_a_class_with_a_dot_for_its_colon_is_told_how_to_be_written() -> None:
+def test_a_class_with_a_dot_for_its_colon_is_told_how_to_be_written():
     named = {"functions.symbol.controller.name": "pi_ff.PiFeedForward", "detector.kind": "det.Blobs", "pixel_controller": "bold.Bold"}
     for key, name in named.items():
         assert (
@@ -174,7 +173,7 @@ def test_a_class_with_a_dot_for_its_colon_is_told_how_to_be_written() -> None:
         ("night_traffic", "detector.kind=hog", "a detector knows only their class; --set functions.guide_line.names=[]"),
     ],
 )
-def test_what_means_nothing_without_something_else_is_told(name: str, override: str, said: str) -> None:
+def test_what_means_nothing_without_something_else_is_told(name, override, said):
     assert said in failure(name, override)
 
 
@@ -182,7 +181,7 @@ DEEP, LONG = "[" * 3000 + "]" * 3000, "9" * 5000
 
 
 @pytest.mark.parametrize("text", [f"steps = {DEEP}", f"steps = {LONG}", f"steps = 0x{LONG}", f"{'a.' * 3000}a = 1", f"['{'x' * 9999}']"])
-def test_files_beyond_all_reason_are_told_in_a_sentence(text: str, file: Path) -> None:
+def test_files_beyond_all_reason_are_told_in_a_sentence(text, file):
     file.write_text(text)
     assert len(failure(file)) < 1000
     with refusal(": "):
@@ -197,6 +196,6 @@ def test_files_beyond_all_reason_are_told_in_a_sentence(text: str, file: Path) -
         ('functions.symbol = {kind = "symbol", image = "\\u0000.png"}', "a text has a NUL character"),
     ],
 )
-def test_names_that_no_file_can_have_are_told_in_a_sentence(text: str, said: str, file: Path) -> None:
+def test_names_that_no_file_can_have_are_told_in_a_sentence(text, said, file):
     file.write_text(f'name = "mine"\n{text}')
     assert said in failure(file)

@@ -54,7 +54,7 @@ def server(tmp_path: Path) -> Iterator[str]:
     thread.join()
 
 
-def test_a_file_is_fetched_once_then_found_and_again_when_it_has_changed(server: str, known: Known, tmp_path: Path) -> None:
+def test_a_file_is_fetched_once_then_found_and_again_when_it_has_changed(server, known, tmp_path):
     known(server)
     with refusal("`luxloop data get setts`"):
         data.find("setts")
@@ -66,7 +66,7 @@ def test_a_file_is_fetched_once_then_found_and_again_when_it_has_changed(server:
     assert data.get("setts").downloaded and path.read_bytes() == CONTENT
 
 
-def test_a_mirror_stands_in_for_the_source(server: str, known: Known, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mirror_stands_in_for_the_source(server, known, tmp_path, monkeypatch):
     known()
     monkeypatch.setenv(data.MIRROR_VARIABLE, server + "/")
     path = data.get("setts", directory=tmp_path / "mine").path
@@ -76,7 +76,7 @@ def test_a_mirror_stands_in_for_the_source(server: str, known: Known, tmp_path: 
 
 
 @pytest.mark.parametrize("place", ["roads/setts.crg", "setts.crg"])
-def test_copies_at_hand_come_first_and_are_left_alone(known: Known, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
+def test_copies_at_hand_come_first_and_are_left_alone(known, tmp_path, monkeypatch, place):
     known()  # whose address leads nowhere
     copy = tmp_path / "own" / place
     copy.parent.mkdir(parents=True)
@@ -97,21 +97,21 @@ def test_copies_at_hand_come_first_and_are_left_alone(known: Known, tmp_path: Pa
         ({"url": "http://127.0.0.1:9"}, r"cannot be reached; connect .* LUXLOOP_DATA to a folder with roads/setts\.crg"),  # nobody listens
     ],
 )
-def test_what_cannot_be_fetched_is_not_kept(server: str, known: Known, tmp_path: Path, wrong: dict, words: str) -> None:
+def test_what_cannot_be_fetched_is_not_kept(server, known, tmp_path, wrong, words):
     known(**{"url": server, **wrong})
     with refusal(words):
         data.get("setts")
     assert not [path for path in (tmp_path / "cache").rglob("*") if path.is_file()]
 
 
-def test_a_folder_that_cannot_be_written(server: str, known: Known, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written(server, known, tmp_path):
     known(server)
     (tmp_path / "file").write_text("")
     with refusal(r"cannot be written .* --dir"):
         data.get("setts", directory=tmp_path / "file")
 
 
-def test_names(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_names(monkeypatch, tmp_path):
     for name, words in (("belgian_blocks", "did you mean 'belgian_block'"), ("xyzzy", "`luxloop data list` shows all")):
         with refusal(words):
             data.find(name)
@@ -121,7 +121,7 @@ def test_names(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         data.find("belgian_block")
 
 
-def test_the_registry_pins_every_source() -> None:
+def test_the_registry_pins_every_source():
     assert {each.kind for each in REAL.values()} == {"road", "photometric"}
     for each in REAL.values():
         assert each.name == Path(each.file).stem and len(each.sha256) == 64
@@ -130,7 +130,7 @@ def test_the_registry_pins_every_source() -> None:
         assert each.url.endswith("/" + Path(each.file).name)
 
 
-def test_registry_agrees_with_copies_at_hand(data_dir: Path) -> None:
+def test_registry_agrees_with_copies_at_hand(data_dir):
     copies = [each for each in REAL.values() if (data_dir / each.file).is_file()]
     assert copies
     for each in copies:

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop import Scenario, Simulation, Utilisation, validate
+from luxloop import Simulation, Utilisation, validate
 from luxloop.loop.scenario.disturbances import DisturbanceParams, WearParams
 from luxloop.loop.scenario.overrides import overridden
 from luxloop.loop.simulation.result import StepResult
@@ -58,7 +58,7 @@ def frames(simulation: Simulation, step: int = 0, **disturbances: Any) -> tuple[
     return None if seen is None else (luminance_of(seen[0], world.camera), luminance_of(seen[1], world.camera))
 
 
-def test_ambient_light_changes_in_the_frames_and_steps_that_are_named(plain: Simulation) -> None:
+def test_ambient_light_changes_in_the_frames_and_steps_that_are_named(plain):
     on, off = frames(plain)
     spell = toml("{ factor = 4.0, frames = 'off', from_step = 3, until_step = 5 }")
     for step in range(6):
@@ -70,7 +70,7 @@ def test_ambient_light_changes_in_the_frames_and_steps_that_are_named(plain: Sim
     assert torch.allclose(both - on, off, atol=2 * saturation_luminance(plain.world.camera) / 4095)  # factors multiply: 2 in all
 
 
-def test_a_headlamp_in_one_frame_only_saturates_and_veils_that_frame(plain: Simulation) -> None:
+def test_a_headlamp_in_one_frame_only_saturates_and_veils_that_frame(plain):
     lamp = toml("""
 position_m = [40.0, 2.0, 0.65]
 velocity_m_s = [-15.0, 0.0, 0.0]
@@ -94,7 +94,7 @@ from_step = 1
         assert float(veil) == pytest.approx(expected, rel=0.03, abs=saturation_luminance(plain.world.camera) / 4095)
 
 
-def test_a_car_drives_towards_a_headlamp_that_stands(plain: Simulation) -> None:
+def test_a_car_drives_towards_a_headlamp_that_stands(plain):
     lamp = toml("{ position_m = [60.0, 2.0, 0.65], diameter_m = 0.5, veil = 0.0, intensity_cd = 5.0 }")
     scene, modules, camera, source = plain.world.scene, plain.world.modules, plain.world.camera, plain.world.source
     motion = drive(VehicleParams.model_validate({"course": [{"speed_m_s": 20.0}]}), Flat(), 1.0)
@@ -110,7 +110,7 @@ def test_a_car_drives_towards_a_headlamp_that_stands(plain: Simulation) -> None:
         assert middle == pytest.approx(uv[:, 0].tolist(), abs=0.05)
 
 
-def test_noise_is_as_many_times_as_wide(plain: Simulation) -> None:
+def test_noise_is_as_many_times_as_wide(plain):
     _, quiet = frames(plain)
     bright = {"ambient": [{"factor": 20.0}]}  # far from black and white, which clamp
     _, level = frames(plain, **bright)
@@ -121,7 +121,7 @@ def test_noise_is_as_many_times_as_wide(plain: Simulation) -> None:
     assert ten / once == pytest.approx(8, rel=0.02)  # the same numbers eight times as large; beyond 3.5 sigma a few are clamped
 
 
-def test_frames_are_lost_when_listed_and_as_often_as_they_shall(plain: Simulation) -> None:
+def test_frames_are_lost_when_listed_and_as_often_as_they_shall(plain):
     spells = [{"from_step": 2, "until_step": 4}, {"from_step": 7, "until_step": 8}]
     assert [step for step in range(10) if frames(plain, step, drops=spells) is None] == [2, 3, 7]
     plant = disturbed(plain.world, drops=[{"probability": 0.5}, {"probability": 0.2, "from_step": 1000}])
@@ -131,7 +131,7 @@ def test_frames_are_lost_when_listed_and_as_often_as_they_shall(plain: Simulatio
     assert sum(lost[:1000]) / 1000 == pytest.approx(0.5, abs=0.048) and sum(lost[1000:]) / 1000 == pytest.approx(0.6, abs=0.048)
 
 
-def test_a_batch_is_disturbed_as_each_of_it_alone(plain: Simulation) -> None:
+def test_a_batch_is_disturbed_as_each_of_it_alone(plain):
     plant = disturbed(plain.world, oncoming=[{"position_m": (40.0, 2.0, 0.65)}], ambient=[{"factor": 3.0, "frames": "off"}])
     (light,) = plain.symbol.projector.light(plain.symbol.projector.target)
     batch, off = frames_of(plant, [Utilisation(torch.stack([light.u, 0.5 * light.u]))])
@@ -141,7 +141,7 @@ def test_a_batch_is_disturbed_as_each_of_it_alone(plain: Simulation) -> None:
         assert torch.equal(off, off_alone)
 
 
-def test_a_camera_that_looks_elsewhere_moves_the_image_and_not_the_light(plain: Simulation) -> None:
+def test_a_camera_that_looks_elsewhere_moves_the_image_and_not_the_light(plain):
     simulation = prepared("disturbances.calibration={ yaw_deg=0.4, focal_percent=2.0 }")
     right, wrong = first(plain), first(simulation)
     # the controller expects what it did; the light lies as well as before, and the evaluator, who knows the true camera, sees that
@@ -155,7 +155,7 @@ def test_a_camera_that_looks_elsewhere_moves_the_image_and_not_the_light(plain: 
     assert (u_wrong, v_wrong) == pytest.approx((expected_u, 90 + 1.02 * (v - 90)), abs=0.15)
 
 
-def test_a_camera_on_another_place_sees_from_there(small_scenario: Scenario) -> None:
+def test_a_camera_on_another_place_sees_from_there(small_scenario):
     camera = small_scenario.camera
     error = DisturbanceParams.model_validate(toml("{ calibration = { x_m = -0.2, z_m = 0.1, pitch_deg = -0.2 } }"))
     there = true_camera(small_scenario.model_copy(update={"disturbances": error}))
@@ -164,7 +164,7 @@ def test_a_camera_on_another_place_sees_from_there(small_scenario: Scenario) -> 
     assert true_camera(small_scenario) == camera
 
 
-def test_a_lamp_aimed_too_high_throws_the_symbol_further() -> None:
+def test_a_lamp_aimed_too_high_throws_the_symbol_further():
     up = math.radians(0.1)
     x, y = first(prepared("disturbances.aim=[{ pitch_deg=-0.1 }]")).symbol.metrics.centroid_percent.tolist()
     moved = 0.75 / math.tan(math.atan(0.75 / 17) - up) - 17
@@ -172,7 +172,7 @@ def test_a_lamp_aimed_too_high_throws_the_symbol_further() -> None:
     assert x == pytest.approx(100 * moved / 4, rel=0.1) and y == pytest.approx(-100 * 0.6 * moved / 17 / 2, rel=0.2)
 
 
-def test_two_lamps_draw_one_symbol_until_one_is_aimed_aside(plain: Simulation) -> None:
+def test_two_lamps_draw_one_symbol_until_one_is_aimed_aside(plain):
     both = ("headlight.lamps=['left', 'right']", "functions.symbol.modules=['left', 'right']")
     together = prepared(*both, f"headlight.model={SMALL_LAMP}")
     shared, alone = first(together), first(plain)
@@ -193,7 +193,7 @@ def worn_world(plain: Simulation, **wear: Any) -> World:
     return World(world.scene, modules, world.camera, world.source)
 
 
-def test_worn_pixels_give_as_much_less_light(plain: Simulation) -> None:
+def test_worn_pixels_give_as_much_less_light(plain):
     aged = worn_world(plain, dead=0.2, aged=0.5, aged_factor=0.4, seed=5)
     matrix, whole = aged.modules[0].headlight.matrix, plain.world.modules[0].headlight.matrix
     left = matrix.values / whole.values
@@ -205,7 +205,7 @@ def test_worn_pixels_give_as_much_less_light(plain: Simulation) -> None:
     assert float(added[0] / added[1]) == pytest.approx(0.5, abs=0.03)
 
 
-def test_modules_wear_each_in_its_own_way_and_as_their_seed_says(plain: Simulation) -> None:
+def test_modules_wear_each_in_its_own_way_and_as_their_seed_says(plain):
     module = plain.symbol.projector.modules[0]
 
     def values(seed: int, number: int) -> Tensor:
@@ -215,7 +215,7 @@ def test_modules_wear_each_in_its_own_way_and_as_their_seed_says(plain: Simulati
     assert not torch.equal(values(1, 0), values(1, 1)) and not torch.equal(values(1, 0), values(2, 0))
 
 
-def test_dead_pixels_that_are_named_are_dead(plain: Simulation) -> None:
+def test_dead_pixels_that_are_named_are_dead(plain):
     (light,) = plain.symbol.projector.light(plain.symbol.projector.target)
     lit = torch.nonzero(light.u)[:, 0].tolist()
     assert not worn_world(plain, dead_pixels=lit).lit(0.0).luminance([light]).any()
@@ -233,17 +233,17 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("disturbance", "words"), WRONG.items())
-def test_what_cannot_be_is_told(disturbance: str, words: str) -> None:
+def test_what_cannot_be_is_told(disturbance, words):
     with refusal(words):
         prepared(f"disturbances.{disturbance}")
 
 
-def test_a_camera_below_the_road_is_refused() -> None:
+def test_a_camera_below_the_road_is_refused():
     with refusal("disturbances.calibration.z_m: the camera is at -0.1 m"):
         prepared("camera.z_m=0.4", "disturbances.calibration.z_m=-0.5")
 
 
-def test_a_box_hides_the_road_and_shades_what_lies_behind(plain: Simulation) -> None:
+def test_a_box_hides_the_road_and_shades_what_lies_behind(plain):
     track = "[{ time_s=0.1, position_m=[13.0, 0.0, 0.0] }, { time_s=0.2, position_m=[13.0, 10.0, 0.0] }]"
     there = f"appears_s=0.1, vanishes_s=0.2, track={track}"
     simulation = prepared(f"objects=[{{ kind='box', name='box', size_m=[0.3, 3.0, 0.4], {there} }}]")

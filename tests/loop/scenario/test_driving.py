@@ -11,7 +11,7 @@ from tests.refusal import refusal
 START = load("night_drive")
 
 
-def test_overrides_make_the_scenario_that_is_driven_and_edits_repeat_it() -> None:
+def test_overrides_make_the_scenario_that_is_driven_and_edits_repeat_it():
     scenario = begin_drive(START, 3)
     assert with_overrides(START, differences(START, scenario)) == scenario
     assert scenario.all_objects == START.all_objects and scenario.steps == 5
@@ -23,17 +23,17 @@ def test_overrides_make_the_scenario_that_is_driven_and_edits_repeat_it() -> Non
     assert with_overrides(scenario, told) == straight and straight.steps == 100 and straight.all_objects == START.all_objects
 
 
-def test_what_is_taken_back_keeps_the_drive() -> None:
+def test_what_is_taken_back_keeps_the_drive():
     driven, _ = continue_drive(begin_drive(START, 3), 3, Controls(1.0, 1.0))
     assert with_drive(START, driven) == driven and with_drive(driven, START) is driven
 
 
 @pytest.mark.parametrize("override", ["functions={}", "vehicle.course[0]={speed_m_s=1.0}", "vehicle.wheelbase_m=3.0", "steps=0"])
-def test_nothing_else_passes_for_driving(override: str) -> None:
+def test_nothing_else_passes_for_driving(override):
     with refusal("record the run again"):
         repeat(begin_drive(START, 3), Edit(step=3, overrides=(override,), driven=True))
 
 
-def test_who_stands_is_not_driven() -> None:
+def test_who_stands_is_not_driven():
     with refusal("the vehicle stands"):
         begin_drive(load("snowflake"), 1)

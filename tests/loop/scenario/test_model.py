@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 import pytest
@@ -16,7 +15,7 @@ from tests.loop.scenario.files import BOX, GOOD, LIT
 from tests.refusal import refusal
 
 
-def test_manifest_gives_the_same_scenario_back(file: Path) -> None:
+def test_manifest_gives_the_same_scenario_back(file):
     file.write_text(GOOD + BOX)
     scenario = load(str(file))
     again = validate(json.loads(json.dumps(scenario.model_dump(mode="json"))), "manifest.json")
@@ -26,13 +25,13 @@ def test_manifest_gives_the_same_scenario_back(file: Path) -> None:
 
 
 @pytest.mark.parametrize("name", scenario_files())
-def test_shipped_scenarios_are_valid_and_named_like_their_files(name: str) -> None:
+def test_shipped_scenarios_are_valid_and_named_like_their_files(name):
     scenario = load(name)
     assert scenario.name == name
     assert scenario.description
 
 
-def test_every_key_is_described() -> None:
+def test_every_key_is_described():
     def described(schema: dict[str, object]) -> None:
         for key, value in schema.get("properties", {}).items():  # type: ignore[attr-defined]
             assert "description" in value or "const" in value, key
@@ -52,7 +51,7 @@ def tables_of(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from tables_of(inner)
 
 
-def test_every_key_that_may_be_missing_has_an_example_that_is_possible() -> None:
+def test_every_key_that_may_be_missing_has_an_example_that_is_possible():
     """Keys that tell variants apart excepted: a table without one is none of them."""
     for table in set(tables_of(Scenario)):
         for key, field in table.model_fields.items():
@@ -61,7 +60,7 @@ def test_every_key_that_may_be_missing_has_an_example_that_is_possible() -> None
                 TypeAdapter(Annotated[field.annotation, field]).validate_python(field.examples[0])
 
 
-def test_a_name_alone_is_a_scenario_of_darkness(file: Path) -> None:
+def test_a_name_alone_is_a_scenario_of_darkness(file):
     file.write_text('name = "x"')
     scenario = load(str(file))
     assert (scenario.functions, scenario.lighting.base.beam, scenario.symbols) == ({}, "off", {})
@@ -70,7 +69,7 @@ def test_a_name_alone_is_a_scenario_of_darkness(file: Path) -> None:
         _ = scenario.symbol
 
 
-def test_functions_are_given_with_or_without_a_controller(file: Path) -> None:
+def test_functions_are_given_with_or_without_a_controller(file):
     file.write_text(GOOD + LIT.partition("\n")[2] + '[functions.own]\nkind = "symbol"\nimage = "mine.svg"\n')
     scenario = load(str(file), ["lighting.power_limit=0.5"], steps=2)
     assert (scenario.steps, scenario.lighting.power_limit, scenario.lighting.base.beam) == (2, 0.5, "low")
@@ -83,7 +82,7 @@ def test_functions_are_given_with_or_without_a_controller(file: Path) -> None:
         _ = both.symbol
 
 
-def test_traffic_follows_the_drive() -> None:
+def test_traffic_follows_the_drive():
     traffic, course = {"seed": 3}, [{"speed_m_s": 14.0}]
     standing = validate({"name": "night", "traffic": traffic}, "standing")
     driving = validate({"name": "night", "steps": 300, "traffic": traffic, "vehicle": {"course": course}}, "driving")

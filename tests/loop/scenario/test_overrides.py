@@ -1,7 +1,6 @@
 """Other values for a scenario's keys: `--set`, tables, and values beside the file."""
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -17,22 +16,22 @@ from tests.refusal import refusal
 
 
 @pytest.mark.parametrize("override", ["steps", "=3", "", "a b=3", "steps.=3"])
-def test_override_that_is_no_assignment(file: Path, override: str) -> None:
+def test_override_that_is_no_assignment(file, override):
     assert "--set camera.bits=8" in failure(file, override)
 
 
-def test_wrong_override_is_shown_beside_the_file(file: Path) -> None:
+def test_wrong_override_is_shown_beside_the_file(file):
     assert "camera.bitz=8: camera.bitz: unknown key; did you mean 'bits'?" in failure(file, "camera.bitz=8")
     assert "with steps=-3: steps: -3" in failure(file, steps=-3)
 
 
-def test_overrides_win_over_the_file_and_keep_the_rest(file: Path) -> None:
+def test_overrides_win_over_the_file_and_keep_the_rest(file):
     scenario = load(str(file), ["camera.bits=8", "camera.gamma=2.2", "name=other", "functions.symbol.width_m=1.5"], steps=7)
     assert (scenario.camera.bits, scenario.camera.gamma, scenario.name, scenario.steps) == (8, 2.2, "other", 7)
     assert (scenario.symbol.image, scenario.symbol.width_m) == ("snowflake", 1.5)
 
 
-def test_another_variant_starts_anew_whatever_the_order(file: Path) -> None:
+def test_another_variant_starts_anew_whatever_the_order(file):
     file.write_text(GOOD + '[road]\nkind = "speed_bump"\nheight_m = 0.05\n')
     for overrides in (["road.kind=bumps", "road.seed=5"], ["road.seed=5", "road.kind=bumps"]):
         road = load(str(file), overrides).road
@@ -40,7 +39,7 @@ def test_another_variant_starts_anew_whatever_the_order(file: Path) -> None:
     assert load(str(file), ["road.kind=speed_bump"]).road.height_m == 0.05
 
 
-def test_paths_are_relative_to_the_file_and_overrides_to_the_working_folder(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_paths_are_relative_to_the_file_and_overrides_to_the_working_folder(file, monkeypatch):
     file.write_text(GOOD.replace('"snowflake"', '"mine.png"') + '[road]\nkind = "opencrg"\nfile = "../scan.crg"\n')
     scenario = load(str(file))
     assert scenario.symbol.image == str(file.parent / "mine.png")
@@ -50,7 +49,7 @@ def test_paths_are_relative_to_the_file_and_overrides_to_the_working_folder(file
     assert load(str(file), ["functions.symbol.image=other.png"]).symbol.image == str(file.parent / "here" / "other.png")
 
 
-def test_a_controller_given_beside_the_file_is_that_of_the_only_symbol_held(file: Path) -> None:
+def test_a_controller_given_beside_the_file_is_that_of_the_only_symbol_held(file):
     assert load(str(file), controller={"name": "thesis_pid"}).symbol.controller == ThesisPidParams()
     file.write_text(SYMBOL)
     assert "controller: none of its functions has one" in failure(file, controller={"name": "open"})
@@ -59,7 +58,7 @@ def test_a_controller_given_beside_the_file_is_that_of_the_only_symbol_held(file
     assert "controller: several symbols have one: symbol, other; set functions.NAME.controller" in message
 
 
-def test_one_key_of_one_item_of_a_list_can_be_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_key_of_one_item_of_a_list_can_be_set(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     before = load("marker_light")
     sets = [
@@ -78,7 +77,7 @@ def test_one_key_of_one_item_of_a_list_can_be_set(tmp_path: Path, monkeypatch: p
     assert not load("marker_light", ["objects={}"]).objects and not load("marker_light", ["objects=[]"]).objects
 
 
-def test_an_item_one_beyond_the_last_is_added() -> None:
+def test_an_item_one_beyond_the_last_is_added():
     there = load("marker_light").spots
     overrides = [f"spots[{len(there) + k}]={{x_m={20.0 + k}}}" for k in range(2)]
     assert load("marker_light", overrides).spots == (*there, SpotParams(x_m=20.0), SpotParams(x_m=21.0))
@@ -98,7 +97,7 @@ IMPOSSIBLE = {
 
 
 @pytest.mark.parametrize(("override", "words"), IMPOSSIBLE.items())
-def test_an_item_that_cannot_be_is_refused(override: str, words: str) -> None:
+def test_an_item_that_cannot_be_is_refused(override, words):
     with refusal(words):
         load("marker_light", [override])
 
@@ -118,11 +117,11 @@ def test_an_item_that_cannot_be_is_refused(override: str, words: str) -> None:
         ("marker_light", ["objects[0]={}"], "objects", ()),
     ],
 )
-def test_an_empty_table_clears_what_is_there(name: str, overrides: list[Any], key: str, left: Any) -> None:
+def test_an_empty_table_clears_what_is_there(name, overrides, key, left):
     assert getattr(load(name, overrides), key) == left
 
 
-def test_an_empty_table_in_one_that_starts_anew_has_its_defaults() -> None:
+def test_an_empty_table_in_one_that_starts_anew_has_its_defaults():
     controller = 'functions.symbol.controller={name="gauss_newton", warp={}}'
     assert load("speed_bump", [controller]).symbol.controller == GaussNewtonParams(warp=WarpParams())
     assert load("speed_bump", [controller, "functions.symbol.controller.warp={}"]).symbol.controller == GaussNewtonParams()

@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[3]
 pytestmark = pytest.mark.skipif(not (page.PAGE / "index.html").is_file(), reason="the page is not built")
 
 
-def test_a_simulation_is_shown_and_steered_and_ends_with_its_memory() -> None:
+def test_a_simulation_is_shown_and_steered_and_ends_with_its_memory():
     simulation = prepare(load("snowflake", (*SMALL, "functions.symbol.x_m=16.0")), "cpu")
     with simulation.show() as shown:
         assert shown.address in shown._repr_html_() and shown.address in repr(shown) and shown.watch != shown.address
@@ -36,7 +36,7 @@ def test_a_simulation_is_shown_and_steered_and_ends_with_its_memory() -> None:
 
 
 @pytest.mark.slow
-def test_a_program_beside_the_loop_holds_the_brightness_of_the_road() -> None:
+def test_a_program_beside_the_loop_holds_the_brightness_of_the_road():
     road = ("functions={}", "checks={}", "lighting.base.beam=off", "headlight.model=ssl-hd", "steps=10")
     with show("flat", *SMALL, *road) as shown:
         command = [sys.executable, str(ROOT / "scenarios/examples/lockstep.py"), shown.address, "7"]
@@ -46,7 +46,7 @@ def test_a_program_beside_the_loop_holds_the_brightness_of_the_road() -> None:
     assert len(seen) == 7 and seen[0] < 0.1 and abs(seen[-1] - 0.25) < 0.01, "0.042, then 0.249 in the seventh step"
 
 
-def test_what_cannot_begin_is_told_in_a_sentence() -> None:
+def test_what_cannot_begin_is_told_in_a_sentence():
     with refusal("did you mean 'snowflake'"):
         show("snowflak")
     with refusal("did you mean 'bits'"):

@@ -34,7 +34,7 @@ def with_headlight(scenario: Scenario, **values: object) -> Scenario:
     return scenario.model_copy(update={"headlight": scenario.headlight.model_copy(update=values)})
 
 
-def test_modules_are_where_they_are_mounted_and_the_finest_one_draws(tmp_path: Path) -> None:
+def test_modules_are_where_they_are_mounted_and_the_finest_one_draws(tmp_path):
     """That of the first lamp, unless the symbol names its modules; the others show their base beams, here none."""
     wide, fine = idealised(10, 40, half_width_deg=20.0, intensity_cd=9000.0), idealised(100, 200, intensity_cd=50_000.0)
     aside = pose_from_degrees((0.0, 0.1, 0.05), pitch_deg=0.5)
@@ -54,7 +54,7 @@ def test_modules_are_where_they_are_mounted_and_the_finest_one_draws(tmp_path: P
         assert drawing(f"functions.symbol.modules=['{named}']").symbol.drawn_by == by
 
 
-def test_modules_shine_mirrored_turned_and_as_bright_as_asked(scenario: Scenario) -> None:
+def test_modules_shine_mirrored_turned_and_as_bright_as_asked(scenario):
     modules = mount(with_headlight(scenario, lamps=("left", "right"), modules=("wide", "narrow"), intensity_cd=8000.0).headlight)
     assert [(module.name, module.headlight.peak_cd) for module in modules] == [
         *(("left wide", 4000), ("left narrow", pytest.approx(8000)), ("right wide", 4000), ("right narrow", pytest.approx(8000)))
@@ -78,12 +78,12 @@ def test_modules_shine_mirrored_turned_and_as_bright_as_asked(scenario: Scenario
         ({"model": "ssl-hdd"}, "'ssl-hdd'.*'ssl-hd'"),
     ],
 )
-def test_what_the_lamp_has_not_is_named(scenario: Scenario, values: dict, words: str) -> None:
+def test_what_the_lamp_has_not_is_named(scenario, values, words):
     with refusal(words):
         mount(with_headlight(scenario, **values).headlight)
 
 
-def test_the_road_is_there_under_all_that_is_met_on_a_drive() -> None:
+def test_the_road_is_there_under_all_that_is_met_on_a_drive():
     traffic = toml("{ seed = 3, cars = 3, parked = 2, clutter = 4 }")
     given = scenario_of('name = "met"\nsteps = 90\nroad.kind = "iso8608"\nvehicle.course = [{ speed_m_s = 15.0 }]', traffic=traffic)
     motion = build_motion(given, PartCache())

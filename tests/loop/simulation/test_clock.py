@@ -1,7 +1,6 @@
 """A plant whose clock does not begin at 0: nothing of a scenario or a recording knows of it."""
 
 import tomllib
-from pathlib import Path
 
 import pytest
 
@@ -61,7 +60,7 @@ def results(begins_s: float, *overrides: str) -> list[StepResult]:
 
 
 @pytest.mark.usefixtures("own")
-def test_a_car_that_stands_sees_the_same_bits_by_any_clock() -> None:
+def test_a_car_that_stands_sees_the_same_bits_by_any_clock():
     zero, epoch = results(0.0), results(EPOCH_S)
     assert [len(each.held) for each in epoch] == [0, 0, 1, 1, 1, 1, 1, 0] and [each.now.wet for each in epoch] == 4 * [False] + 4 * [True]
     assert len({each.plan.primitives is None for each in epoch}) == 2, "the blinking symbol"
@@ -90,7 +89,7 @@ BROKEN = {  # words of the sentence: what is replaced in OWN by what
 
 @pytest.mark.usefixtures("own")
 @pytest.mark.parametrize("words", BROKEN)
-def test_what_a_plant_cannot_mean_is_told_in_a_sentence(words: str, tmp_path: Path) -> None:
+def test_what_a_plant_cannot_mean_is_told_in_a_sentence(words, tmp_path):
     (tmp_path / "own.py").write_text(OWN.replace(*BROKEN[words]))
     with sentence("plant.kind: own:Clock: ", words):
         results(EPOCH_S, "vehicle={ course=[{ speed_m_s=6.0 }], oscillation.pitch_deg=0.5 }")

@@ -1,7 +1,6 @@
 """Functions turn and dim modules: the light follows, other functions aim by the turned modules, and plants get the commands."""
 
 import math
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -62,7 +61,7 @@ def results(*given: Any, **changes: Any) -> list[StepResult]:
     return list(simulation_of(scenario(*given, **changes)).evaluations())
 
 
-def test_commanded_modules_shine_as_those_that_are_mounted_so(lamp: str) -> None:
+def test_commanded_modules_shine_as_those_that_are_mounted_so(lamp):
     level = toml("{ kind = 'levelling', dynamic = false, entries = [{ level_deg = 1.5 }] }")
     (commanded,) = results(lamp, {"level": level}, "steps=1")
     (mounted,) = results(lamp, {"carpet": PATCH | {"stop_s": 0.0, "start_s": -1.0}}, "steps=1", "headlight.level_deg=1.5")
@@ -72,7 +71,7 @@ def test_commanded_modules_shine_as_those_that_are_mounted_so(lamp: str) -> None
     torch.testing.assert_close(commanded.illuminance, mounted.illuminance, rtol=1e-4, atol=1e-4)
 
 
-def test_bending_turns_light_and_what_functions_know_into_a_curve(lamp: str) -> None:
+def test_bending_turns_light_and_what_functions_know_into_a_curve(lamp):
     (result, *_) = results(lamp, {"bend": {"kind": "bending"}}, "vehicle.course=[{ speed_m_s=10.0, curvature_1_m=0.01 }]")
     expected = math.asin(0.01 * 2.0 * 10.0 / 2)
     (_, light), *_ = result.now.lights
@@ -81,7 +80,7 @@ def test_bending_turns_light_and_what_functions_know_into_a_curve(lamp: str) -> 
     assert math.atan2(*light.T_world_headlight[[1, 0], 0].tolist()) == pytest.approx(expected, rel=2e-3)
 
 
-def test_levelling_holds_the_beam_over_the_ground_while_the_body_pitches(lamp: str) -> None:
+def test_levelling_holds_the_beam_over_the_ground_while_the_body_pitches(lamp):
     sways = "vehicle={ course=[{ speed_m_s=15.0 }], oscillation={ pitch_deg=1.0, rate_hz=1.1 } }"
 
     def heights_m(functions: dict[str, Any]) -> list[float]:
@@ -100,7 +99,7 @@ def test_levelling_holds_the_beam_over_the_ground_while_the_body_pitches(lamp: s
     assert max(still) - min(still) < 0.15 * (max(swaying) - min(swaying))
 
 
-def test_dimming_halves_flux_and_light(lamp: str) -> None:
+def test_dimming_halves_flux_and_light(lamp):
     dim = toml("{ kind = 'dimming', entries = [{ time_s = 0.1, share = 1.0 }, { time_s = 0.2, share = 0.5 }] }")
     bright, _, dimmed = results(lamp, {"dim": dim})
     assert dimmed.powers["left"].flux_lm == pytest.approx(0.5 * bright.powers["left"].flux_lm)
@@ -110,7 +109,7 @@ def test_dimming_halves_flux_and_light(lamp: str) -> None:
     assert limited.powers["left"].share == pytest.approx(0.4) and limited.powers["left"].factor == pytest.approx(0.8)
 
 
-def test_a_dimmed_module_gives_the_lux_that_are_asked_for_as_far_as_it_can(lamp: str) -> None:
+def test_a_dimmed_module_gives_the_lux_that_are_asked_for_as_far_as_it_can(lamp):
     def lit(share: float | None = None, **patch: Any) -> StepResult:
         dim = {} if share is None else {"dim": {"kind": "dimming", "entries": [{"share": share}]}}
         return results(lamp, {"patch": PATCH | patch} | dim, OFF)[0]
@@ -123,7 +122,7 @@ def test_a_dimmed_module_gives_the_lux_that_are_asked_for_as_far_as_it_can(lamp:
     assert not dark.illuminance.any() and all(bool(u.isfinite().all()) for u in dark.lights)
 
 
-def test_what_was_commanded_is_recorded_and_played_again(lamp: str, tmp_path: Path) -> None:
+def test_what_was_commanded_is_recorded_and_played_again(lamp, tmp_path):
     functions = toml("""
 bend = { kind = "bending", rate_deg_s = 5.0 }
 dim = { kind = "dimming", entries = [{ share = 1.0 }, { time_s = 0.2, share = 0.5 }] }
@@ -159,7 +158,7 @@ WRONG: dict[str, tuple[dict[str, Any], str | None, str]] = {
 }
 
 
-def test_a_module_goes_where_it_is_commanded_within_its_range_and_back(lamp: str) -> None:
+def test_a_module_goes_where_it_is_commanded_within_its_range_and_back(lamp):
     simulation = simulation_of(scenario(lamp, {"a": COMMAND | {"swivel_deg": 90.0, "stop_s": 0.15}, "patch": PATCH}))
     first, _, last = (each.now.commands for each in simulation.evaluations())
     (module,) = simulation.modules
@@ -170,12 +169,12 @@ def test_a_module_goes_where_it_is_commanded_within_its_range_and_back(lamp: str
 
 @pytest.mark.usefixtures("own")
 @pytest.mark.parametrize(("functions", "model", "words"), WRONG.values(), ids=WRONG.keys())
-def test_what_cannot_be_commanded_is_refused_in_a_sentence(functions: dict[str, Any], model: str | None, words: str, lamp: str) -> None:
+def test_what_cannot_be_commanded_is_refused_in_a_sentence(functions, model, words, lamp):
     with sentence(words):
         results(model or lamp, functions, OFF)
 
 
-def test_a_symbol_is_held_beside_another_lamp_that_moves(lamp: str) -> None:
+def test_a_symbol_is_held_beside_another_lamp_that_moves(lamp):
     functions = {
         "flake": SYMBOL | {"modules": ["left"]},
         "level": toml("{ kind = 'levelling', modules = ['right'], entries = [{ level_deg = 1.0 }] }"),

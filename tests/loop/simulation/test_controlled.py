@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -47,7 +46,7 @@ def ious(results: Sequence[StepResult], name: str) -> list[float]:
 
 
 @pytest.mark.parametrize("controller", ["luxloop", pytest.param("thesis_pid", marks=pytest.mark.slow)])
-def test_a_mask_over_a_part_neither_moves_nor_loses_a_symbol(controller: str) -> None:
+def test_a_mask_over_a_part_neither_moves_nor_loses_a_symbol(controller):
     car = box("box", (1.0, 0.5, 0.6), (15.2, 1.0, 0.0), category="car")
     flake = FLAKE | {"controller": controller}
     plain, masked = (run({"flake": flake} | more, objects=[car]) for more in ({}, {"guard": {"kind": "glare_free"}}))
@@ -59,7 +58,7 @@ def test_a_mask_over_a_part_neither_moves_nor_loses_a_symbol(controller: str) ->
     assert float(apart[0]) < 0.3 and float(apart[1]) < 0.03 and float(apart[2:].max()) < 0.015
 
 
-def test_a_symbol_under_other_functions_is_lost_as_covered_and_they_are_named(tmp_path: Path) -> None:
+def test_a_symbol_under_other_functions_is_lost_as_covered_and_they_are_named(tmp_path):
     wall = box("wall", (6.0, 5.0, 0.1), (17.0, 0.0, 0.0), category="car")
     beside = toml("{ kind = 'symbol', image = 'chevrons', x_m = 30.0, y_m = 3.0, priority = 9 }")
     functions = {"flake": FLAKE | {"controller": "open"}, "guard": {"kind": "glare_free"}, "beside": beside}
@@ -74,13 +73,13 @@ def test_a_symbol_under_other_functions_is_lost_as_covered_and_they_are_named(tm
     assert "11, of which guard covered it in 11" in text and "functions.guard took too much light from the symbol to measure it" in text
 
 
-def test_symbols_apart_are_measured_in_each_step_and_each_is_evaluated_by_itself() -> None:
+def test_symbols_apart_are_measured_in_each_step_and_each_is_evaluated_by_itself():
     results = run({"left": LEFT, "right": RIGHT})
     for name in ("left", "right"):
         assert len(ious(results, name)) == len(results) and min(ious(results, name)[5:]) > 0.8
 
 
-def test_symbols_that_meet_take_turns_and_stay_lit_in_the_other_ones() -> None:
+def test_symbols_that_meet_take_turns_and_stay_lit_in_the_other_ones():
     both = simulation({"lower": FLAKE, "upper": FLAKE | toml("{ image = 'chevrons', x_m = 15.0, y_m = -0.6, priority = 1 }")})
     results = list(both.evaluations())
     turns = [[name for name, held in each.held.items() if held.metrics is not None] for each in results]
@@ -95,7 +94,7 @@ def test_symbols_that_meet_take_turns_and_stay_lit_in_the_other_ones() -> None:
     assert float(((alone > 0.5) & (off > 0.5) & (on > 0.5)).sum()) > 100
 
 
-def test_a_run_is_recorded_by_symbol_and_compared_with_the_open_loop() -> None:
+def test_a_run_is_recorded_by_symbol_and_compared_with_the_open_loop():
     held = simulation({"flake": FLAKE | {"start": START}})
     names = schema(held).names
     assert {"functions.flake.x_m", "functions.flake.iou", "functions.flake.loss", "control_ms"} <= set(names)
@@ -122,12 +121,12 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("words", "changes"), WRONG.items(), ids=WRONG)
-def test_what_cannot_be_held_is_refused_in_a_sentence(words: str, changes: dict[str, Any]) -> None:
+def test_what_cannot_be_held_is_refused_in_a_sentence(words, changes):
     with sentence("functions.flake", words):
         simulation({"flake": FLAKE | changes})
 
 
-def test_the_share_of_a_step_without_the_symbol_weighs_the_means_and_moves_no_symbol() -> None:
+def test_the_share_of_a_step_without_the_symbol_weighs_the_means_and_moves_no_symbol():
     """A car that stands sees the same at other times, and the light of both exposures stays as it is."""
     car = box("box", (0.2, 1.0, 0.3), (16.5, 0.0, 0.0), category="car")
     half, quarter = (
@@ -148,7 +147,7 @@ def test_the_share_of_a_step_without_the_symbol_weighs_the_means_and_moves_no_sy
     assert "lamp.left.flux_lm_peak" in schema(quarter).names and "objects.box.lx_peak" in schema(quarter).names
 
 
-def test_what_a_frame_says_that_it_shows_is_what_is_measured() -> None:
+def test_what_a_frame_says_that_it_shows_is_what_is_measured():
     """The controller on a plant that shows half of what is asked for gets the light that was shown."""
     asked = simulation({"flake": FLAKE | {"start": START, "controller": "thesis_pid"}}, "steps=4")
 

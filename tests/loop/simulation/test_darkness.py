@@ -73,7 +73,7 @@ def most_light(simulation: Simulation, result: StepResult, names: set[str]) -> d
 
 
 @pytest.mark.parametrize("model", LAMPS)
-def test_masked_bodies_get_exactly_no_light(model: str) -> None:
+def test_masked_bodies_get_exactly_no_light(model):
     masked = simulation(model)
     for step in range(3):
         result = masked.at(step)
@@ -83,13 +83,13 @@ def test_masked_bodies_get_exactly_no_light(model: str) -> None:
         assert result.dark_lx_max == 0.0
 
 
-def test_without_a_mask_they_are_lit() -> None:
+def test_without_a_mask_they_are_lit():
     bright = simulation("hd84", "functions={}")
     light = most_light(bright, bright.at(0), set(SIZES))
     assert all(lx > 0.5 for lx in light["camera"].values()), light
 
 
-def test_a_mask_that_fades_lights_no_other_masked_body() -> None:
+def test_a_mask_that_fades_lights_no_other_masked_body():
     """A van vanishes before one car and a second one beside another, and their masks fade out over the next 0.6 s."""
     places = {"car": (50.0, 0.0, 0.0), "before": (20.0, 0.0, 0.0), "beside": (48.0, 3.0, 0.0)}
     gone = {"vanishes_s": 0.1}
@@ -102,7 +102,7 @@ def test_a_mask_that_fades_lights_no_other_masked_body() -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in scenario_files() if name.startswith("gfhb")])
-def test_shipped_glare_free_scenarios_are_dark_where_they_must_be(name: str) -> None:
+def test_shipped_glare_free_scenarios_are_dark_where_they_must_be(name):
     loaded = load(name, camera=CameraParams(width_px=480, height_px=200, hfov_deg=34, pitch_deg=1.5).model_dump(mode="json"))
     simulation = simulation_of(loaded)
     for step in range(0, loaded.steps, max(1, (loaded.steps - 1) // 2)):

@@ -2,7 +2,6 @@
 
 import gc
 import weakref
-from typing import Any
 
 import pytest
 
@@ -13,7 +12,7 @@ SYMBOL = SMALL["functions"]["symbol"] | {"controller": "luxloop"}
 
 
 @pytest.mark.parametrize("vehicle", [None, {"course": [{"speed_m_s": 10.0}]}], ids=["stands", "drives"])
-def test_a_simulation_goes_with_its_last_user(vehicle: dict[str, Any] | None) -> None:
+def test_a_simulation_goes_with_its_last_user(vehicle):
     simulation = Simulation.prepare(validate(SMALL | {"vehicle": vehicle, "functions": {"symbol": SYMBOL}}, "freed"))
     state = simulation.start()
     for _ in range(2):

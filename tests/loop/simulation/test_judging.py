@@ -27,18 +27,18 @@ def rows(steps: int, beam: str, **changes: Any) -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize(("share", "least", "most"), [(True, 0.8, 1.15), (False, 1.5, 4.1)], ids=["shared", "each gives the whole"])
-def test_four_modules_give_one_setpoint_unless_each_gives_the_whole(share: bool, least: float, most: float) -> None:
+def test_four_modules_give_one_setpoint_unless_each_gives_the_whole(share, least, most):
     (one,) = rows(1, "low", functions={"band": BAND | {"share": share}})
     assert least < one["road_lx_ratio_max"] < most  # lores pixels miss by a tenth; two to four modules reach the band
 
 
-def test_the_light_of_one_module_alone_adds_up_with_nothing() -> None:
+def test_the_light_of_one_module_alone_adds_up_with_nothing():
     band = BAND | toml("{ control_m = [[18.0, -1.2], [18.0, 1.2]], width_m = 1.0, modules = ['left hires'], value = 12.0 }")
     (one,) = rows(1, "off", functions={"band": band})
     assert one["road_lx_ratio_max"] < 1, "a pixel that lies across the band's border lights all that its light reaches"
 
 
-def test_what_two_lamps_share_on_a_pedestrian_adds_up_on_the_road_behind() -> None:
+def test_what_two_lamps_share_on_a_pedestrian_adds_up_on_the_road_behind():
     aside = toml("{ kind = 'pedestrian', name = 'aside', seed = 5, track = [{ position_m = [10.0, 3.0, 0.0], yaw_deg = 90.0 }] }")
     light = toml("{ kind = 'object_based', method = 'constant', setpoint_lx = 6.0, share = 0.2 }")
     *_, last = rows(5, "low", objects=[aside], functions={"light": light})
@@ -46,7 +46,7 @@ def test_what_two_lamps_share_on_a_pedestrian_adds_up_on_the_road_behind() -> No
     assert 1.1 < last["road_lx_ratio_max"] < 2, "rays of both lamps through different places of the body meet on the road behind"
 
 
-def test_oncoming_heads_count_from_three_tenths_of_a_second_on() -> None:
+def test_oncoming_heads_count_from_three_tenths_of_a_second_on():
     lit = rows(6, "full", objects=[COMING, AHEAD])
     told = [each["oncoming_lx_max"] for each in lit]
     assert told[:3] == [None] * 3 and all(lx > 1 for lx in told[3:]), "near enough at once, and in full light"

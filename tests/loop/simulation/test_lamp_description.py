@@ -42,7 +42,7 @@ def pixel_file(path: Path) -> Path:
     return path
 
 
-def test_the_example_builds_as_it_says() -> None:
+def test_the_example_builds_as_it_says():
     lamp, (matrix, foreground) = build(EXAMPLE)
     fine, wide = (module.headlight for module in lamp.modules)
     assert [module.name for module in lamp.modules] == ["matrix", "foreground"] and "low" in lamp.beams
@@ -54,7 +54,7 @@ def test_the_example_builds_as_it_says() -> None:
     assert lamp.modules[0].pose(swivel_deg=15)[0, 3] == 0.02
 
 
-def test_the_documented_way_from_files_to_a_lamp_works(tmp_path: Path) -> None:
+def test_the_documented_way_from_files_to_a_lamp_works(tmp_path):
     description = re.findall(r"^```toml lamp\n(.*?)^```", PAGE.read_text("utf-8"), re.M | re.S)[0]
     (tmp_path / "pixels").mkdir()
     for row, column in np.ndindex(3, 28):
@@ -65,7 +65,7 @@ def test_the_documented_way_from_files_to_a_lamp_works(tmp_path: Path) -> None:
     assert (report.pixel_rows, report.pixel_cols) == (3, 28)
 
 
-def test_a_preset_can_be_a_module(tmp_path: Path) -> None:
+def test_a_preset_can_be_a_module(tmp_path):
     text = (
         'name="m"\n[[module]]\nname="a"\nlevel_deg=[-1, 1]\nsource={kind="preset", name="hd84"}\noverlap={keep=2, method="least_squares"}'
     )
@@ -76,7 +76,7 @@ def test_a_preset_can_be_a_module(tmp_path: Path) -> None:
     assert report.overlap is not None and 0 < report.overlap.rmse < 0.5
 
 
-def test_given_beams_come_from_pictures_and_tables(tmp_path: Path) -> None:
+def test_given_beams_come_from_pictures_and_tables(tmp_path):
     picture = np.array([[0, 51, 102, 153], [204, 255, 0, 0]], np.uint8)
     cv2.imwrite(str(tmp_path / "a.png"), picture)
     lamp, _ = build(write(tmp_path, f'{MATRIX}\n[beams.given]\nwelcome = {{ matrix = "a.png" }}\nnone = {{}}'))
@@ -102,7 +102,7 @@ def test_given_beams_come_from_pictures_and_tables(tmp_path: Path) -> None:
         ("gone.png", None, "cannot be read"),
     ],
 )
-def test_utilisations_that_do_not_fit_are_named(tmp_path: Path, name: str, content: bytes | None, words: str) -> None:
+def test_utilisations_that_do_not_fit_are_named(tmp_path, name, content, words):
     if content is not None:
         (tmp_path / name).write_bytes(content)
     with refusal(rf"{name}.*{re.escape(words)}|{re.escape(words)}.*{name}"):
@@ -132,14 +132,14 @@ def test_utilisations_that_do_not_fit_are_named(tmp_path: Path, name: str, conte
         ('name="m"\n[[module]]\nname="a"\nsource={kind="file", path="gone.ies"}', "gone.ies"),
     ],
 )
-def test_what_is_wrong_in_a_description_is_named(tmp_path: Path, text: str, words: str) -> None:
+def test_what_is_wrong_in_a_description_is_named(tmp_path, text, words):
     path = write(tmp_path, text)
     with refusal(re.escape(words)) as error:
         build(path)
     assert str(path) in str(error.value)
 
 
-def test_lamps_come_by_name_and_by_file(tmp_path: Path) -> None:
+def test_lamps_come_by_name_and_by_file(tmp_path):
     assert load_lamp("hd84", "right") is presets.lamp("hd84", "right")
     described = load_lamp(write(tmp_path, MATRIX))
     archive.save(tmp_path / "lamp.npz", described)
@@ -151,7 +151,7 @@ def test_lamps_come_by_name_and_by_file(tmp_path: Path) -> None:
     assert single.intensity(single.beam("full"), ahead).item() == pytest.approx(750, rel=0.05)
 
 
-def test_the_right_lamp_mirrors_the_left_one(tmp_path: Path) -> None:
+def test_the_right_lamp_mirrors_the_left_one(tmp_path):
     text = MATRIX.replace("left_deg = 8", "left_deg = 16") + "mount = { y_m = 0.1, yaw_deg = 3 }\nswivel_deg = [-5, 10]"
     path = write(tmp_path, text)
     left = load_lamp(path)

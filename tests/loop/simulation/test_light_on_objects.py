@@ -20,7 +20,7 @@ def driven() -> tuple[Simulation, World, float]:
 
 
 @pytest.mark.parametrize("later_s", [-1.5, 0.0])
-def test_light_on_objects_is_that_of_the_whole_image(driven: tuple[Simulation, World, float], later_s: float) -> None:
+def test_light_on_objects_is_that_of_the_whole_image(driven, later_s):
     simulation, world, time_s = driven
     time_s += later_s
     lights = simulation.step(simulation.start())[1].exposures[0].lights
@@ -36,7 +36,7 @@ def test_light_on_objects_is_that_of_the_whole_image(driven: tuple[Simulation, W
     assert again.lx.equal(lx[numbers > 0]) and again.eyes.equal(light.eyes)
 
 
-def test_a_module_is_driven_once_where_both_exposures_draw_the_same(driven: tuple[Simulation, World, float]) -> None:
+def test_a_module_is_driven_once_where_both_exposures_draw_the_same(driven):
     simulation = driven[0]
     result = simulation.step(simulation.start())[1]
     on, off = (each.lights for each in result.exposures)

@@ -1,6 +1,5 @@
 """Scenarios run, are recorded as they went, and replay."""
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -32,7 +31,7 @@ def lit(*overrides: str, **changes: Any) -> Simulation:
     return simulated(LIT, *overrides, **{"objects": [BOX], **changes})
 
 
-def test_objects_on_a_road_are_seen_and_tracked_at_its_height() -> None:
+def test_objects_on_a_road_are_seen_and_tracked_at_its_height():
     """On 5 % from 10 m on after a curve of 4 m, 40 m ahead is 1.4 m up, and the van sinks by 0.5 m on its way of 10 m."""
     road = toml("{ kind = 'grade', grade_percent = 5.0, crossfall_percent = 0.0, start_x_m = 10.0 }")
     simulation = lit(road=road, objects=[BOX | {"on_road": True}])
@@ -45,7 +44,7 @@ def test_objects_on_a_road_are_seen_and_tracked_at_its_height() -> None:
     assert float(sunk.T_world_object[2, 3]) == 0
 
 
-def test_pictures_have_the_cameras_noise_and_measured_light_has_none() -> None:
+def test_pictures_have_the_cameras_noise_and_measured_light_has_none():
     noisy, other, still = (lit(*each) for each in ((), ("seed=1",), ("camera.noise=false",)))
     result, camera = noisy.at(1), noisy.scenario.camera
     assert torch.equal(result.luminance, other.at(1).luminance) and torch.equal(result.illuminance, other.at(1).illuminance)
@@ -59,14 +58,14 @@ def test_pictures_have_the_cameras_noise_and_measured_light_has_none() -> None:
     torch.testing.assert_close(camera_luminance(still.at(1), still)[clear], exact[clear], rtol=0, atol=0.51 * level)
 
 
-def test_functions_without_effect_are_told(tmp_path: Path) -> None:
+def test_functions_without_effect_are_told(tmp_path):
     beside = "functions.far={ kind='symbol', image='snowflake', y_m=60.0 }"  # beside all light
     late = "functions.late={ kind='glare_free', categories=['truck'] }"
     summary = run(scenario_of(LIT, beside, late, "steps=1"), tmp_path / "lit", video=False, report=False).summary
     assert summary["idle_functions"] == ["functions.far (symbol)", "functions.guard (glare_free)", "functions.late (glare_free)"]
 
 
-def test_light_on_an_object_is_that_of_the_law_of_distances() -> None:
+def test_light_on_an_object_is_that_of_the_law_of_distances():
     """An upright plate far ahead, in the full beam of one lamp: E = I / d^2 within what its extent makes of it."""
     plate = BOX | toml("{ name = 'plate', size_m = [0.02, 0.2, 0.2], track = [{ position_m = [20, 0, 0.65] }] }")
     one = ("lighting.base.beam=full", "headlight={ model='hd84', lamps=['left'], distance_m=0.0 }", "functions={}")
@@ -79,19 +78,19 @@ def test_light_on_an_object_is_that_of_the_law_of_distances() -> None:
     assert light.lx_min <= light.lx_mean <= light.lx_max
 
 
-def test_an_object_appears_to_the_tracker_when_it_does_in_the_scene() -> None:
+def test_an_object_appears_to_the_tracker_when_it_does_in_the_scene():
     results = list(lit("steps=4", objects=[BOX | {"appears_s": 0.3, "vanishes_s": 0.5}]).evaluations())
     seen = [(result.objects["van"].pixels > 0, result.objects["van"].masked) for result in results]
     assert seen == [(step == 2, step == 2) for step in range(4)] and results[0].dark_lx_max is None
 
 
-def test_what_stands_still_is_rendered_once() -> None:
+def test_what_stands_still_is_rendered_once():
     simulation = lit(objects=[])
     assert simulation.world.lit(0.0) is simulation.world.lit(5.0)
     torch.testing.assert_close(simulation.at(0).illuminance, simulation.at(2).illuminance)
 
 
-def test_conditions_hold_until_the_next() -> None:
+def test_conditions_hold_until_the_next():
     timeline = scenario_of(LIT, "conditions=[{ time_s=1, wet=true }, { time_s=3, street_lit=true }]")
     assert [timeline.conditions_at(time_s).wet for time_s in (0.0, 1.0, 2.9, 3.0, 9.0)] == [True, True, True, False, False]
 
@@ -106,6 +105,6 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("key", "override"), WRONG.items())
-def test_what_is_not_there_is_named_in_a_sentence(key: str, override: str) -> None:
+def test_what_is_not_there_is_named_in_a_sentence(key, override):
     with sentence(key):
         lit(override)

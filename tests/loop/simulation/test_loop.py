@@ -1,7 +1,6 @@
 """With a detector the loop is closed: frames are looked through, objects tracked, light planned from tracks, and all of it recorded."""
 
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,7 +51,7 @@ def results(*overrides: str, **changes: Any) -> list[StepResult]:
     return list(closed(*overrides, **changes).evaluations())
 
 
-def test_everyone_is_found_tracked_placed_and_recorded(tmp_path: Path) -> None:
+def test_everyone_is_found_tracked_placed_and_recorded(tmp_path):
     out = tmp_path / "run"
     summary = run(scenario_of(CLOSED), out, video=False).summary
     table = pq.read_table(out / "trajectory.parquet")
@@ -74,21 +73,21 @@ def test_everyone_is_found_tracked_placed_and_recorded(tmp_path: Path) -> None:
     assert (out / "report.png").stat().st_size > 10_000
 
 
-def test_masks_follow_tracks_and_darken_them() -> None:
+def test_masks_follow_tracks_and_darken_them():
     first, *_, last = results("steps=6", "lighting.base.beam=full", functions={"guard": {"kind": "glare_free"}})
     assert not first.masked and first.objects["oncoming"].lx_max > 1
     assert {name for name, each in last.objects.items() if each.masked} == {"oncoming", "parked"}
     assert last.objects["oncoming"].lx_mean < 0.1 * first.objects["oncoming"].lx_mean
 
 
-def test_late_frames_make_tracks_late() -> None:
+def test_late_frames_make_tracks_late():
     late, in_time = results("camera.latency_steps=2", "steps=7"), results("steps=5")
     assert [each.frame is None for each in late] == [True, True] + [False] * 5
     assert [each.detections is not None and len(each.detections.tracks) for each in late] == [0, 0, 0, 0, 3, 3, 3]
     assert late[2].frame.equal(in_time[0].frame)  # no function has anything to do before a track is confirmed
 
 
-def test_light_is_computed_once_however_late_its_frame_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_light_is_computed_once_however_late_its_frame_is_read(monkeypatch):
     computed, light = list[LitScene](), LitScene.light
 
     def counted(lit: LitScene, *given: Any) -> tuple[torch.Tensor, torch.Tensor]:
@@ -101,7 +100,7 @@ def test_light_is_computed_once_however_late_its_frame_is_read(monkeypatch: pyte
     assert last.frame is not None and len(computed) == 3  # the last three frames have not come
 
 
-def test_a_track_is_predicted_where_frames_are_lost() -> None:
+def test_a_track_is_predicted_where_frames_are_lost():
     *_, last = results("disturbances.drops=[{ from_step=4, until_step=6 }]", "steps=6")
     assert last.frame is None and len(last.detections.found) == 0 and len(last.detections.tracks) == 3
     made = last.detections.recognised["walker"]  # whose track goes on as he does: they still overlap
@@ -109,14 +108,14 @@ def test_a_track_is_predicted_where_frames_are_lost() -> None:
 
 
 @pytest.mark.parametrize("late", ["camera.latency_steps=1", "disturbances.drops=[{ until_step=1 }]"])
-def test_what_no_frame_shows_is_recorded_as_unknown(late: str) -> None:
+def test_what_no_frame_shows_is_recorded_as_unknown(late):
     lit = "functions.matter={ kind='material', lights=[{ materials=['asphalt'], lx=5.0 }], road_m=[5, 30] }"
     first, *_, last = map(row, results(late, lit, "steps=3", functions={}))
     assert first["functions.matter.asphalt.lx"] is None and last["functions.matter.asphalt.lx"] > 0
     assert "detections" not in first and "objects.walker.score" not in first and last["detections"] == 3
 
 
-def test_tracks_are_where_objects_are() -> None:
+def test_tracks_are_where_objects_are():
     *_, last = results()
     true = {each.name: each for each in closed(detector=None).situation(last.time_s).objects}
     # A pixel of this camera's image is 0.6 m of the road at 15 m, and 1.9 m at 30 m; lengths are those of the class
@@ -127,7 +126,7 @@ def test_tracks_are_where_objects_are() -> None:
         assert found.size_m[2] == pytest.approx(true[name].size_m[2], rel=0.15)
 
 
-def test_a_state_taken_up_again_goes_on_as_the_run_did_and_a_time_has_its_lights() -> None:
+def test_a_state_taken_up_again_goes_on_as_the_run_did_and_a_time_has_its_lights():
     simulation = closed()
     state = simulation.start()
     for _ in range(5):
@@ -139,7 +138,7 @@ def test_a_state_taken_up_again_goes_on_as_the_run_did_and_a_time_has_its_lights
     assert first.step == 4 and torch.equal(first.frame, again.frame)
 
 
-def test_a_base_beam_is_dimmed_as_functions_ask() -> None:
+def test_a_base_beam_is_dimmed_as_functions_ask():
     half = toml("{ kind = 'object_based', method = 'constant', share = 0.5, setpoint_lx = 0.0 }")
     asked = ({}, {"half": half}, {"half": half, "most": half | {"share": 0.8}})
     bright, dim, both = (closed(objects=[], functions=functions).at(0) for functions in asked)
@@ -159,7 +158,7 @@ class Numpy:
         return [Detections(np.zeros((1, 4)), np.zeros((1, 1)))] * len(frames)  # type: ignore[arg-type]
 
 
-def test_what_ones_own_detector_gives_wrong_ends_a_run_and_leaves_nothing(tmp_path: Path) -> None:
+def test_what_ones_own_detector_gives_wrong_ends_a_run_and_leaves_nothing(tmp_path):
     with sentence("detector.kind: ", "reading what detect gives", "AttributeError"):
         run(scenario_of(CLOSED, detector={"kind": f"{__name__}:Numpy"}, objects=[]), tmp_path / "runs" / "closed")
     assert not list(tmp_path.iterdir())

@@ -34,7 +34,7 @@ track = [{ position_m = [11, 1, 0] }]
 
 
 @pytest.mark.parametrize("beads", [False, True])
-def test_materials_are_named(beads: bool) -> None:
+def test_materials_are_named(beads):
     scenario = scenario_of(STREET, f"surface.beads={str(beads).lower()}")
     view = camera_view(CameraParams(width_px=320, height_px=180))
     triangles = build_scene(scenario).at(0.0)

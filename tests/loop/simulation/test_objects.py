@@ -17,7 +17,7 @@ WALKER, CAR = (
 )
 
 
-def test_an_object_lingers_when_it_has_gone_and_comes_again_as_a_new_one() -> None:
+def test_an_object_lingers_when_it_has_gone_and_comes_again_as_a_new_one():
     first = track_objects((), [WALKER, CAR], 1.0)
     assert [(each.name, each.since_s, each.until_s) for each in first] == [("walker", 1.0, math.inf), ("car", 1.0, math.inf)]
     gone = track_objects(first, [replace(WALKER, size_m=(1.0, 1.0, 1.0))], 2.0)
@@ -29,7 +29,7 @@ def test_an_object_lingers_when_it_has_gone_and_comes_again_as_a_new_one() -> No
     assert (car.since_s, car.until_s) == (4.0, math.inf)
 
 
-def test_objects_come_back_from_text_bit_for_bit() -> None:
+def test_objects_come_back_from_text_bit_for_bit():
     objects = (replace(WALKER, since_s=1 / 3, until_s=2.0, confidence=0.1, score=math.nan), CAR)
     again = read_objects(object_values(objects))
     assert again is not None
@@ -40,7 +40,7 @@ def test_objects_come_back_from_text_bit_for_bit() -> None:
     assert read_objects(object_values(())) == () and read_objects(object_values(None)) is None
 
 
-def test_times_of_objects_count_from_the_start() -> None:
+def test_times_of_objects_count_from_the_start():
     class Epoch:
         def start(self) -> tuple[None, Arrivals]:
             return None, Arrivals(1e9, objects=track_objects((), [WALKER], 1e9))

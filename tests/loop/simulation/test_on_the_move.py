@@ -39,14 +39,14 @@ def lit_middle(moving: Simulation, each: StepResult) -> torch.Tensor:
     return transform(inverse(vehicle.T_world_ground).float(), surfaces.position[:, lit]).mean(1)
 
 
-def test_masks_stay_on_an_oncoming_car_while_the_own_one_nods() -> None:
+def test_masks_stay_on_an_oncoming_car_while_the_own_one_nods():
     guarded = simulation("lighting.base.beam=high", "functions.guard.kind=glare_free", objects=[ONCOMING])
     results = list(guarded.evaluations())
     assert len({float(each.sense.view.T_world_view[2, 2]) for each in results}) == 3  # it does nod
     assert all(each.objects["van"].pixels and each.objects["van"].lx_max == 0 for each in results)
 
 
-def test_a_symbol_stays_in_its_place_ahead_of_the_car() -> None:
+def test_a_symbol_stays_in_its_place_ahead_of_the_car():
     moving = simulation(HIRES, "vehicle.oscillation.pitch_deg=0.5", functions={"way": WAY})
     places = torch.stack([lit_middle(moving, each) for each in moving.evaluations()])
     spread = places.amax(0) - places.amin(0)
@@ -55,7 +55,7 @@ def test_a_symbol_stays_in_its_place_ahead_of_the_car() -> None:
 
 
 @pytest.mark.parametrize("drives", [False, True])
-def test_the_road_of_a_crest_leaves_the_plane_of_the_ground_with_the_square_of_the_distance(drives: bool) -> None:
+def test_the_road_of_a_crest_leaves_the_plane_of_the_ground_with_the_square_of_the_distance(drives):
     crest = toml("{ kind = 'profile', grades = [{ x_m = 0, percent = -5, curve_m = 75 }] }")  # a radius of 1500 m
     held = toml("{ kind = 'symbol', image = 'chevrons', controller = 'luxloop' }")
     lamp = {"model": SMALL_LAMP, "lamps": ["left"]}
@@ -70,7 +70,7 @@ def test_the_road_of_a_crest_leaves_the_plane_of_the_ground_with_the_square_of_t
         assert symbol.evaluator.road_m([0.0, 1.5]) == pytest.approx(-(far_m**2) / 3000, abs=1e-3)  # the profile's own grid
 
 
-def test_a_symbol_stays_in_its_place_on_a_steady_climb() -> None:
+def test_a_symbol_stays_in_its_place_on_a_steady_climb():
     places = []
     for road in ("flat", "{ kind='profile', grades=[{ x_m=5, percent=5, curve_m=20 }] }"):
         steady = {"vehicle": {"course": [{"speed_m_s": 20.0}]}, "functions": {"way": WAY}}
@@ -80,7 +80,7 @@ def test_a_symbol_stays_in_its_place_on_a_steady_climb() -> None:
     torch.testing.assert_close(*places, rtol=0, atol=0.06)
 
 
-def test_what_is_found_in_the_image_is_placed_as_the_body_was_measured() -> None:
+def test_what_is_found_in_the_image_is_placed_as_the_body_was_measured():
     def gap_m(bias_deg: float) -> float:
         found = ("functions.guard.kind=glare_free", "detector.kind=truth", f"sensors.attitude.pitch_bias_deg={bias_deg}")
         moving = simulation(*found, objects=[ONCOMING])
@@ -92,7 +92,7 @@ def test_what_is_found_in_the_image_is_placed_as_the_body_was_measured() -> None
     assert gap_m(0.0) < 6 < gap_m(0.3)
 
 
-def test_functions_learn_speed_and_course_from_the_sensors() -> None:
+def test_functions_learn_speed_and_course_from_the_sensors():
     course = [{"speed_m_s": 10.0, "curvature_1_m": 0.02}, toml("{ time_s = 1.0, speed_m_s = 20.0, curvature_1_m = 0.02 }")]
     moving = simulation(vehicle={"course": course}, sensors={"wheels": {"scale": 1.1}})
     speeds = [each.now.speed_m_s for each in moving.evaluations()]

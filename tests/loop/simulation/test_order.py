@@ -48,7 +48,7 @@ def lights(given: Scenario) -> list[torch.Tensor]:
     return [*first.lights, *simulation.step(state)[1].lights]
 
 
-def test_shuffled_functions_give_the_same_bits_and_the_same_digest() -> None:
+def test_shuffled_functions_give_the_same_bits_and_the_same_digest():
     given = scenario(FUNCTIONS)
     expected = lights(given)
     for seed in range(2):
@@ -60,7 +60,7 @@ def test_shuffled_functions_give_the_same_bits_and_the_same_digest() -> None:
 
 
 @pytest.mark.parametrize("pair", [("bright", "dim"), ("guard", "guard_softly"), ("carpet", "detour"), ("place", "other_place")])
-def test_of_two_functions_alike_the_first_in_the_alphabet_lies_on_top(pair: tuple[str, str]) -> None:
+def test_of_two_functions_alike_the_first_in_the_alphabet_lies_on_top(pair):
     """Other names, another light: what lies on top is not the same by chance."""
     one, other = pair
     only = {"a": FUNCTIONS[one], "b": FUNCTIONS[other]}
@@ -69,7 +69,7 @@ def test_of_two_functions_alike_the_first_in_the_alphabet_lies_on_top(pair: tupl
     assert any(not torch.equal(a, b) for a, b in zip(lights(scenario(only)), lights(scenario(swapped)), strict=True))
 
 
-def test_masks_lie_over_symbols_over_paths_over_markers_over_the_light_of_places() -> None:
+def test_masks_lie_over_symbols_over_paths_over_markers_over_the_light_of_places():
     assert list(scenario(FUNCTIONS).functions) == [
         *("guard", "guard_softly"),
         *("bright", "dim"),

@@ -70,7 +70,7 @@ def lights(**functions: Any) -> list[Any]:
 
 
 @pytest.mark.usefixtures("own")
-def test_it_draws_as_the_others_do(tmp_path: Any) -> None:
+def test_it_draws_as_the_others_do(tmp_path):
     """Above those of equal priority but for symbols; its options decide what."""
     carpet, dim = ({"kind": "own:Carpet", "options": {"value": value}} for value in (0.9, 0.1))
     lane = {"kind": "lane", "value": 0.2}
@@ -83,7 +83,7 @@ def test_it_draws_as_the_others_do(tmp_path: Any) -> None:
 
 
 @pytest.mark.usefixtures("own")
-def test_one_that_learns_keeps_its_state_from_step_to_step() -> None:
+def test_one_that_learns_keeps_its_state_from_step_to_step():
     first, second, third = lights(a={"kind": "own:Brightening"})
     assert (first.sum(), second.sum()) < (second.sum(), third.sum())
     simulation = simulation_of(scenario(a={"kind": "own:Brightening"}))
@@ -104,6 +104,6 @@ def test_one_that_learns_keeps_its_state_from_step_to_step() -> None:
         ("Forgetful", {}, "has no method step"),
     ],
 )
-def test_what_is_wrong_with_it_is_said_in_a_sentence(name: str, options: dict[str, Any], words: str) -> None:
+def test_what_is_wrong_with_it_is_said_in_a_sentence(name, options, words):
     with sentence(f"own:{name}", words):
         lights(mine={"kind": f"own:{name}", "options": options})

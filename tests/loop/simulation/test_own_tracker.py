@@ -88,7 +88,7 @@ def looked(**tracker: Any) -> list[Any]:
 
 
 @pytest.mark.usefixtures("own")
-def test_the_loop_follows_with_it() -> None:
+def test_the_loop_follows_with_it():
     """Ours by another name follows bit for bit; other keys do not."""
     ours = looked(kind="own:Ours", options={"confirm_frames": 2})
     assert ours == looked(confirm_frames=2) != looked()
@@ -111,6 +111,6 @@ def test_the_loop_follows_with_it() -> None:
         ("Ours", {"confirm": 2}, "__init__ with the classes and the view and tracker.options fails"),
     ],
 )
-def test_what_is_wrong_with_it_is_said_in_a_sentence(name: str, options: dict[str, Any], words: str) -> None:
+def test_what_is_wrong_with_it_is_said_in_a_sentence(name, options, words):
     with sentence(f"tracker.kind: own:{name}", words):
         looked(kind=f"own:{name}", options=options)

@@ -40,14 +40,14 @@ def given(share: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(share).flatten().float() / 255
 
 
-def test_pictures_come_back_bit_for_bit() -> None:
+def test_pictures_come_back_bit_for_bit():
     cover = RNG.integers(0, 256, (ROWS, COLUMNS)).astype(np.uint8)
     value, painted = PaintedParams.of("left matrix", VALUE, cover, True).pictures
     assert (value == VALUE).all() and (painted == cover).all()
 
 
 @pytest.mark.parametrize("over", [True, False])
-def test_what_is_painted_holds_and_the_rest_is_what_functions_give(over: bool) -> None:
+def test_what_is_painted_holds_and_the_rest_is_what_functions_give(over):
     plain, guarded = shown().lights, shown(**GUARDED).lights
     left, right = shown(PaintedParams.of("left matrix", VALUE, HALF, over), **GUARDED).lights
     assert not guarded[0].equal(plain[0]) and right.equal(guarded[1])
@@ -58,7 +58,7 @@ def test_what_is_painted_holds_and_the_rest_is_what_functions_give(over: bool) -
 
 @pytest.mark.parametrize("over", [True, False])
 @pytest.mark.parametrize("band", [None, slice(0, 0), slice(3, 9), slice(70, 84)])
-def test_outside_the_band_all_is_dark(over: bool, band: slice | None) -> None:
+def test_outside_the_band_all_is_dark(over, band):
     value, cover = np.zeros((ROWS, COLUMNS), np.uint8), np.zeros((ROWS, COLUMNS), np.uint8)
     value[1, 5:9], cover[1, 2:12] = 200, 255
     below = torch.zeros(2, ROWS * COLUMNS)
@@ -72,7 +72,7 @@ def test_outside_the_band_all_is_dark(over: bool, band: slice | None) -> None:
     assert (light.band is None) == (over and band is None)
 
 
-def test_the_power_limit_holds() -> None:
+def test_the_power_limit_holds():
     all_ = np.full((ROWS, COLUMNS), 255, np.uint8)
     painted = [PaintedParams.of(f"{side} matrix", all_, all_, False) for side in ("left", "right")]
     result = shown(*painted, lighting=toml("{ power_limit = 0.25, base.beam = 'off' }"))
@@ -94,6 +94,6 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("words", "painted"), WRONG.items(), ids=WRONG)
-def test_what_does_not_fit_is_named_in_a_sentence(words: str, painted: list[dict[str, Any]]) -> None:
+def test_what_does_not_fit_is_named_in_a_sentence(words, painted):
     with sentence("lighting.painted[", words):
         shown(*painted)

@@ -12,7 +12,7 @@ def parts(cache: PartCache, *keys: Any) -> list[object]:
     return found
 
 
-def test_parts_of_equal_parameters_and_the_same_objects_serve_again() -> None:
+def test_parts_of_equal_parameters_and_the_same_objects_serve_again():
     thing, first = object(), PartCache()
     before = parts(first, Flat(), (Bumps(seed=3), [1.0, "a"]), {"key": thing}, 1)
     assert parts(PartCache(first), Flat(), (Bumps(seed=3), [1.0, "a"]), {"key": thing}, 1) == before
@@ -20,7 +20,7 @@ def test_parts_of_equal_parameters_and_the_same_objects_serve_again() -> None:
     assert not set(map(id, others)) & set(map(id, before))
 
 
-def test_parts_of_the_one_before_the_last_are_released() -> None:
+def test_parts_of_the_one_before_the_last_are_released():
     first = PartCache()
     parts(first, 1)
     second = PartCache(first)

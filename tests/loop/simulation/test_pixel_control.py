@@ -61,7 +61,7 @@ class Unfinished:
 
 
 @pytest.mark.parametrize(("model", "objective"), [("hd84", "mae"), ("hd84", "least_squares"), ("ssl-hd-lores", "mae")])
-def test_masks_are_exactly_dark_with_joint_optimisation_too(model: str, objective: str) -> None:
+def test_masks_are_exactly_dark_with_joint_optimisation_too(model, objective):
     """Measured on what the camera sees of the bodies; what is not masked is lit, so that darkness is none of the lamps'."""
     jpo = ("pixel_controller=jpo", f"jpo={{ objective='{objective}', iterations=10 }}")
     result = simulated(LIT, f"headlight.model={model}", *jpo, objects=OBJECTS).at(0)
@@ -69,7 +69,7 @@ def test_masks_are_exactly_dark_with_joint_optimisation_too(model: str, objectiv
     assert result.dark_lx_max == 0.0 and float(result.illuminance.max()) > 1.0
 
 
-def test_a_symbol_is_drawn_by_the_controller_that_is_named() -> None:
+def test_a_symbol_is_drawn_by_the_controller_that_is_named():
     jpo_keys = ("pixel_controller=jpo", "jpo.iterations=7")
     ssc, jpo = (simulated(SYMBOL, "ssc.a_r=2.0", *keys).symbol.projector for keys in ((), jpo_keys))
     (one,), (other,) = ssc.modules, jpo.modules
@@ -80,7 +80,7 @@ def test_a_symbol_is_drawn_by_the_controller_that_is_named() -> None:
 
 
 @pytest.mark.usefixtures("own")
-def test_one_of_the_users_own_drives_functions_and_symbols_that_are_held() -> None:
+def test_one_of_the_users_own_drives_functions_and_symbols_that_are_held():
     for base, objects in ((LIT, OBJECTS), (SYMBOL, ())):
         whole, half = (simulated(base, *own, objects=objects).at(0).lights for own in ((), ("pixel_controller=own:Half",)))
         assert any(bool(u.any()) for u in whole)
@@ -98,6 +98,6 @@ WRONG = {
 
 @pytest.mark.usefixtures("own")
 @pytest.mark.parametrize(("override", "words"), WRONG.items())
-def test_what_cannot_drive_is_named_in_a_sentence(override: str, words: str) -> None:
+def test_what_cannot_drive_is_named_in_a_sentence(override, words):
     with sentence(words):
         simulated(LIT, override)

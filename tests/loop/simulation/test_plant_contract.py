@@ -13,7 +13,7 @@ from luxloop import Arrivals, Exposure, ModuleCommand, Simulation, prepare, vali
 from luxloop.loop.scenario.overrides import overridden
 from luxloop.loop.simulation.protocol import ExposurePair, pair_frames
 from luxloop.loop.simulation.simulated import SimulatedPlant
-from tests.loop.conftest import SMALL, Lux, assert_refused, box
+from tests.loop.conftest import SMALL, assert_refused, box
 
 OWN = """
 from dataclasses import replace
@@ -71,7 +71,7 @@ def prepared(controller: str, *overrides: str) -> Simulation:
     return prepare(validate(overridden(SMALL | {"functions": {"symbol": symbol}}, overrides), "plants"), "cpu")
 
 
-def test_exposures_are_numbered_once_and_follow_each_other(small_simulation: Simulation) -> None:
+def test_exposures_are_numbered_once_and_follow_each_other(small_simulation):
     shown: list[Exposure] = []
 
     class Listening:
@@ -88,7 +88,7 @@ def test_exposures_are_numbered_once_and_follow_each_other(small_simulation: Sim
     assert [each.start_s for each in shown[1:]] == pytest.approx(ends[:-1]) and ends[-1] == pytest.approx(0.1)
 
 
-def test_frames_that_are_late_by_a_varying_time_find_the_light_that_they_show() -> None:
+def test_frames_that_are_late_by_a_varying_time_find_the_light_that_they_show():
     late = "camera={ latency_steps=1, latency_spread_steps=2 }"
     simulation = prepared("luxloop", "steps=20", "road.kind=bumps", late)
     plant = simulation.plant
@@ -106,7 +106,7 @@ def test_frames_that_are_late_by_a_varying_time_find_the_light_that_they_show() 
     assert result.symbol.metrics is not None and float(result.symbol.metrics.iou) > 0.85
 
 
-def test_a_world_tells_commands_of_the_same_light_apart(small_simulation: Simulation) -> None:
+def test_a_world_tells_commands_of_the_same_light_apart(small_simulation):
     world, symbol = small_simulation.world, small_simulation.symbol
     light = symbol.projector.light(symbol.projector.target)
     rest, dimmed, turned, again = (
@@ -120,7 +120,7 @@ def test_a_world_tells_commands_of_the_same_light_apart(small_simulation: Simula
     assert left < middle
 
 
-def test_a_pair_that_lacks_a_frame_waits_and_one_that_lost_a_frame_is_lost(small_simulation: Simulation) -> None:
+def test_a_pair_that_lacks_a_frame_waits_and_one_that_lost_a_frame_is_lost(small_simulation):
     plant, shown = small_simulation.plant, small_simulation.symbol.projector.resting
     _, came = plant.show((), Exposure(0, 0.0, 1 / 60, shown))
     (frame,) = came.frames
@@ -151,7 +151,7 @@ def test_a_pair_that_lacks_a_frame_waits_and_one_that_lost_a_frame_is_lost(small
         ("{kind='own:Blind', options={lost=[0, 1, 2, 3, 4, 5]}}", (6, 0, 0), "no frame arrived for any of the 6 exposures"),
     ],
 )
-def test_frames_that_fit_no_exposure_are_told_at_the_end(lux: Lux, plant: str, frames: tuple[int, int, int], words: str) -> None:
+def test_frames_that_fit_no_exposure_are_told_at_the_end(lux, plant, frames, words):
     code, out, error = lux("run", "small.toml", "--set", f"plant={plant}", "--frames", "--no-video", "--no-report", "--out", "run")
     assert code == 0 and words in " ".join(out.split()), error
     found = json.loads(Path("run/summary.json").read_text())["frames"]
@@ -159,7 +159,7 @@ def test_frames_that_fit_no_exposure_are_told_at_the_end(lux: Lux, plant: str, f
 
 
 @pytest.mark.usefixtures("own")
-def test_samples_of_a_plant_of_ones_own_become_the_ego_motion() -> None:
+def test_samples_of_a_plant_of_ones_own_become_the_ego_motion():
     simulation = prepared("luxloop", "plant.kind=own:Rig", "vehicle.course=[{ speed_m_s=0.0 }]")
     state = simulation.start()
     for measured_s in (-0.02, 1 / 30 - 0.02, 0.05 - 0.02, 0.05 - 0.02):  # the last sample holds
@@ -176,12 +176,12 @@ def test_samples_of_a_plant_of_ones_own_become_the_ego_motion() -> None:
 @pytest.mark.parametrize(
     ("plant", "words"), [("own:Half", "has no method show"), ("own:Nobody", "module own has no Nobody"), ("simulatd", "plant.kind")]
 )
-def test_a_plant_that_is_none_is_refused(lux: Lux, plant: str, words: str) -> None:
+def test_a_plant_that_is_none_is_refused(lux, plant, words):
     assert_refused(lux("check", "small.toml", "--set", f"plant.kind={plant}"), words)
 
 
 @pytest.mark.parametrize("renderer", ["opengl", "raycast"])
-def test_a_part_of_a_frame_is_the_same_bits_as_in_the_whole(renderer: str) -> None:
+def test_a_part_of_a_frame_is_the_same_bits_as_in_the_whole(renderer):
     """On the move, with all that disturbs it, of several samples a pixel and odd columns."""
     given = (f"renderer={renderer}", "camera.oversampling=3", "vehicle.course=[{ speed_m_s=10.0 }]")
     disturbed = "disturbances={ oncoming=[{ position_m=[30.0, 2.0, 0.65] }], ambient=[{ factor=2.0 }], noise=[{ factor=1.5 }] }"

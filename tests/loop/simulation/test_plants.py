@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from itertools import chain
-from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet as pq
@@ -15,7 +14,7 @@ from luxloop.loop.recording.record import row
 from luxloop.loop.report.run_table import summary_table
 from luxloop.loop.simulation.result import StepResult
 from tests.lamps import SMALL_LAMP
-from tests.loop.conftest import Lux, toml
+from tests.loop.conftest import toml
 from tests.refusal import refusal, sentence
 
 OWN = """
@@ -72,7 +71,7 @@ def lights(results: Sequence[StepResult]) -> list[Tensor]:
 
 
 @pytest.mark.usefixtures("own")
-def test_without_truth_the_light_is_the_same_and_nobody_says_where_it_lies() -> None:
+def test_without_truth_the_light_is_the_same_and_nobody_says_where_it_lies():
     known, blind = list(simulation(**SEES).evaluations()), list(simulation(**SEES, plant=BLIND).evaluations())
     assert all(a.equal(b) for a, b in zip(lights(known), lights(blind), strict=True))
     assert [each.zones["near"].lx for each in known] == [each.zones["near"].lx for each in blind]
@@ -83,7 +82,7 @@ def test_without_truth_the_light_is_the_same_and_nobody_says_where_it_lies() -> 
 
 
 @pytest.mark.usefixtures("own")
-def test_a_symbol_is_held_on_a_plant_without_truth() -> None:
+def test_a_symbol_is_held_on_a_plant_without_truth():
     flake = toml("{ kind = 'symbol', image = 'snowflake', controller = 'thesis_pid', start.x_m = 18.0 }")
     lamp = {"model": SMALL_LAMP, "lamps": ["left"]}
     held = {"headlight": lamp, "camera": {"width_px": 320, "height_px": 180}, "functions": {"flake": flake}, "vehicle": None}
@@ -94,7 +93,7 @@ def test_a_symbol_is_held_on_a_plant_without_truth() -> None:
 
 
 @pytest.mark.usefixtures("own")
-def test_a_run_without_truth_is_recorded_reported_and_repeated(lux: Lux, tmp_path: Path) -> None:
+def test_a_run_without_truth_is_recorded_reported_and_repeated(lux, tmp_path):
     summary = run(validate(WORLD | SEES | {"plant": BLIND}, "lit"), tmp_path / "blind", device="cpu").summary
     console = Console(record=True, width=160)
     console.print(summary_table(summary, "blind"))
@@ -105,7 +104,7 @@ def test_a_run_without_truth_is_recorded_reported_and_repeated(lux: Lux, tmp_pat
 
 
 @pytest.mark.usefixtures("own")
-def test_functions_work_in_shadow_on_the_frames_of_a_recording(tmp_path: Path) -> None:
+def test_functions_work_in_shadow_on_the_frames_of_a_recording(tmp_path):
     """The same functions ask for the same light again; others see what was lit then, not what they ask for."""
     folder = tmp_path / "recorded"
     run(validate(WORLD | SEES, "lit"), folder, frames=True, video=False, report=False, device="cpu")
@@ -133,7 +132,7 @@ NEEDS = {
 
 @pytest.mark.usefixtures("own")
 @pytest.mark.parametrize("key", NEEDS)
-def test_what_needs_the_truth_is_refused_without_it(key: str) -> None:
+def test_what_needs_the_truth_is_refused_without_it(key):
     with sentence(f"lit: {key}: needs the truth, which the plant own:Blind does not know"):
         simulation(**NEEDS[key], plant=BLIND)
 
@@ -149,14 +148,14 @@ saved = { metric = "lamp.left.flux_lm", at_most = 0.5, compare = "full_light" }
 
 @pytest.mark.usefixtures("own")
 @pytest.mark.parametrize(("plant", "refused"), [("Blind", ["lit", "zone", "dark", "saved"]), ("Knowing", ["saved"])])
-def test_all_checks_that_a_plant_cannot_be_held_to_are_named_with_their_remedies(plant: str, refused: list[str]) -> None:
+def test_all_checks_that_a_plant_cannot_be_held_to_are_named_with_their_remedies(plant, refused):
     with refusal("checks.saved.compare: needs the simulated world") as error:
         simulation(checks=UNREACHABLE, plant={"kind": f"own:{plant}"}, objects=[CAR], detector={"kind": "own:Brightest"})
     assert [name for name in UNREACHABLE if f"--set checks.{name}={{}}" in str(error.value)] == refused
     assert len(str(error.value).splitlines()) == len(refused) + (len(refused) > 1)
 
 
-def test_a_recording_of_other_exposures_or_of_held_symbols_is_refused(tmp_path: Path) -> None:
+def test_a_recording_of_other_exposures_or_of_held_symbols_is_refused(tmp_path):
     folder = tmp_path / "recorded"
     run(validate(WORLD | {"steps": 4}, "lit"), folder, frames=True, video=False, report=False, device="cpu")
     recording = {"plant": {"kind": "recording", "folder": str(folder)}, "steps": 4}

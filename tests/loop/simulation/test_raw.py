@@ -54,13 +54,13 @@ def written(sequence: Array, tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_every_form_gives_the_same_frames(form: str, written: Path, sequence: Array) -> None:
+def test_every_form_gives_the_same_frames(form, written, sequence):
     read = read_sequence(written / form, ROWS, COLUMNS)
     assert read.rate_hz == 25.0
     torch.testing.assert_close(read.frames, torch.from_numpy(sequence).flatten(1).float(), rtol=0, atol=1e-7)  # float32
 
 
-def test_both_lamps_show_the_frame_of_the_time(written: Path, sequence: Array) -> None:
+def test_both_lamps_show_the_frame_of_the_time(written, sequence):
     """At 10 steps and 5 frames a second each frame stays for two steps; then it starts over, or the last one stays."""
     raw = {"file": str(written / "png"), "rate_hz": 5.0}
     again, held = (playing(raw | {"repeat": repeat}) for repeat in (True, False))
@@ -72,7 +72,7 @@ def test_both_lamps_show_the_frame_of_the_time(written: Path, sequence: Array) -
         torch.testing.assert_close(u, torch.from_numpy(sequence[-1]).flatten().float(), rtol=0, atol=1e-7)
 
 
-def test_functions_draw_over_them_and_limits_hold(written: Path) -> None:
+def test_functions_draw_over_them_and_limits_hold(written):
     bare, masked, limited = (
         playing({"file": str(written / "png")}, objects=[van((30.0, 3.0, 180.0))], **changes).at(0)
         for changes in ({}, {"functions": {"guard": {"kind": "glare_free"}}}, {"lighting": {"power_limit": 0.1}})
@@ -95,7 +95,7 @@ WRONG: dict[str, list[dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize(("words", "raw"), WRONG.items(), ids=WRONG)
-def test_what_does_not_fit_is_named_in_a_sentence(words: str, raw: list[dict[str, Any]], tmp_path: Path) -> None:
+def test_what_does_not_fit_is_named_in_a_sentence(words, raw, tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty" / "text.txt").write_text("0")
     np.save(tmp_path / "much.npy", np.full((ROWS, COLUMNS), 2.0))

@@ -19,7 +19,7 @@ from luxloop.loop.recording.record import row, schema
 from luxloop.loop.simulation.columns import SYMBOL, of_one, symbol_columns
 from luxloop.loop.simulation.frames import TABLE, image_file, light_file
 from luxloop.perception.appearance import DEGREES
-from tests.loop.conftest import SMALL, Lux, assert_refused, box, toml
+from tests.loop.conftest import SMALL, assert_refused, box, toml
 from tests.refusal import refusal
 
 
@@ -90,7 +90,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.mark.parametrize(("name", "data"), [("stands", STANDS), ("drives", DRIVES)])
-def test_the_controller_that_was_recorded_asks_for_the_same_again(name: str, data: dict[str, Any], recorded: dict[str, Path]) -> None:
+def test_the_controller_that_was_recorded_asks_for_the_same_again(name, data, recorded):
     table, simulation = recorded_in(recorded[name]), playing(data, recorded[name])
     again = asked_and_seen(simulation)
     for each in (*ASKED, *SEEN, "time_s"):
@@ -99,7 +99,7 @@ def test_the_controller_that_was_recorded_asks_for_the_same_again(name: str, dat
     assert None in table["e_x"].to_pylist() or name == "drives", "some frames are lost"
 
 
-def test_another_controller_asks_for_its_own_and_sees_what_was_shown(recorded: dict[str, Path]) -> None:
+def test_another_controller_asks_for_its_own_and_sees_what_was_shown(recorded):
     """What it sees is that of the recording, however far from it is what it asks for."""
     table = recorded_in(recorded["stands"])
     again = asked_and_seen(playing(STANDS, recorded["stands"], functions=held_by("open")))
@@ -110,7 +110,7 @@ def test_another_controller_asks_for_its_own_and_sees_what_was_shown(recorded: d
     assert other["x_m"][-1].as_py() != table["x_m"][-1].as_py() != 17.0
 
 
-def test_symbols_that_lie_side_by_side_and_below_a_mask_are_played(recorded: dict[str, Path]) -> None:
+def test_symbols_that_lie_side_by_side_and_below_a_mask_are_played(recorded):
     """The recorded light has the mask in it, so that the object that it covers need not be known. Each symbol has its own controller."""
     again = run_of(playing(TWO, recorded["two"], objects=[]))
     flake = TWO["functions"]["flake"] | {"controller": "gauss_newton"}
@@ -130,7 +130,7 @@ def test_symbols_that_lie_side_by_side_and_below_a_mask_are_played(recorded: dic
         playing(TWO, recorded["two"], objects=[], functions=unlike)
 
 
-def test_an_old_state_shows_the_same_frames_again(recorded: dict[str, Path]) -> None:
+def test_an_old_state_shows_the_same_frames_again(recorded):
     simulation = playing(DRIVES, recorded["drives"])
     plant, exposure = simulation.plant, Exposure(0, 0.0, 0.1, simulation.symbol.projector.resting)
     state, first = plant.start()
@@ -144,7 +144,7 @@ def test_an_old_state_shows_the_same_frames_again(recorded: dict[str, Path]) -> 
     assert off is not None and off.projections == {}
 
 
-def test_a_shadow_is_recorded_beside_and_says_what_it_is(lux: Lux, tmp_path: Path) -> None:
+def test_a_shadow_is_recorded_beside_and_says_what_it_is(lux, tmp_path):
     assert lux("run", "small.toml", "--out", "drive", "--frames", "--no-video", "--no-report")[0] == 0
     before = {file.name: file.read_bytes() for file in (tmp_path / "drive").rglob("*") if file.is_file()}
     code, out, _ = lux("run", "small.toml", "--plant", "drive", "--controller", "thesis_pid", "--out", "shadow")
@@ -164,7 +164,7 @@ def test_a_shadow_is_recorded_beside_and_says_what_it_is(lux: Lux, tmp_path: Pat
     assert_refused(lux(*again, "shadow", "--out", "other"), "shadow holds no frames; record frames with `luxloop run --frames`")
 
 
-def test_a_recording_plays_its_own_frames(lux: Lux, tmp_path: Path) -> None:
+def test_a_recording_plays_its_own_frames(lux, tmp_path):
     """With the scenario in it, so that a plant that is gone need not be named."""
     assert lux("run", "small.toml", "--out", "runs/drive", "--frames", "--no-video", "--no-report")[0] == 0
     manifest = tmp_path / "runs/drive/manifest.json"
@@ -230,7 +230,7 @@ DAMAGE: dict[str, Callable[[Path], Any]] = {
 
 
 @pytest.mark.parametrize("words", DAMAGE)
-def test_what_is_damaged_or_lies_elsewhere_is_refused_in_a_sentence(words: str, recorded: dict[str, Path], tmp_path: Path) -> None:
+def test_what_is_damaged_or_lies_elsewhere_is_refused_in_a_sentence(words, recorded, tmp_path):
     folder = shutil.copytree(recorded["drives"], tmp_path / "copy")
     DAMAGE[words](folder)
     with refusal(words) as caught:
@@ -238,7 +238,7 @@ def test_what_is_damaged_or_lies_elsewhere_is_refused_in_a_sentence(words: str, 
     assert str(folder) in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_frames_of_lighting_functions_hold_no_symbol(tmp_path: Path) -> None:
+def test_frames_of_lighting_functions_hold_no_symbol(tmp_path):
     for lamps, words in (("['left', 'right']", OTHER), ("['left']", "shows none of the symbols that are held here, symbol, but none")):
         given = ["camera={ width_px=320, height_px=180, oversampling=1 }", "renderer=raycast", f"headlight.lamps={lamps}"]
         run("gfhb", tmp_path / "gfhb", frames=True, video=False, report=False, overrides=given, steps=2)
@@ -247,7 +247,7 @@ def test_frames_of_lighting_functions_hold_no_symbol(tmp_path: Path) -> None:
             playing({**SMALL, "steps": 1, "headlight": {"model": model, "lamps": ["left"]}}, tmp_path / "gfhb")
 
 
-def test_a_fifth_degree_of_freedom_has_columns() -> None:
+def test_a_fifth_degree_of_freedom_has_columns():
     yaw = replace(DEGREES[2], name="yaw", shown="shown pose: rotation about the upward axis")
     columns = symbol_columns((*DEGREES, yaw))
     assert list(symbol_columns(DEGREES)) == [each for each in columns if "yaw" not in each] and len(columns) == len(SYMBOL) + 3

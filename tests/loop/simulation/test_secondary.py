@@ -41,26 +41,26 @@ def on_road(simulation: Simulation, result: StepResult, aside_m: float = 0.0) ->
     return float(result.illuminance[there].mean())
 
 
-def test_lamps_share_a_setpoint_so_that_light_is_not_doubled() -> None:
+def test_lamps_share_a_setpoint_so_that_light_is_not_doubled():
     """idealised pixels are 0.06 deg wide, 2 m of road at 26 m, so the mean over the patch keeps to the setpoint within some percent."""
     shared, doubled = (on_road(*run(f"lighting.share={share}")) for share in ("true", "false"))
     assert shared == pytest.approx(WANTED_LX, rel=0.06)
     assert doubled == pytest.approx(2 * shared, rel=0.02)
 
 
-def test_a_lamp_makes_up_for_one_that_is_blocked() -> None:
+def test_a_lamp_makes_up_for_one_that_is_blocked():
     given = ("false", "true")
     dim, made_up = (on_road(*run(f"lighting.shadow_rays={rays}", objects=[BARRIER]), aside_m=0.4) for rays in given)
     assert dim < 0.8 * WANTED_LX < made_up
 
 
-def test_street_light_is_taken_off() -> None:
+def test_street_light_is_taken_off():
     lamp = "light.street_lamps=[{ position_m=[22.0, 0.0, 8.0], intensity_cd=19.2 }]"
     with_offset, without = (on_road(*run(f"lighting.street_lamps={off}", lamp)) for off in ("true", "false"))
     assert without - with_offset == pytest.approx(19.2 / 64, rel=0.15)  # E = I / h^2 right below; less towards the patch's ends
 
 
-def test_an_observer_sees_the_picture_upright() -> None:
+def test_an_observer_sees_the_picture_upright():
     """The light is where the observer's picture is bright: nothing of it lies on the road before the picture's lower edge."""
     picture = toml("{ centre_m = [15.0, 0.0, 0.5], width_m = 1.0, height_m = 0.4, eye_m = [-1.6, 0.0, 1.4] }")
     symbol = {"kind": "symbol", "image": "warning_triangle", "observer": picture}
@@ -72,7 +72,7 @@ def test_an_observer_sees_the_picture_upright() -> None:
     assert float(y.abs().max()) < 0.5 * 33.2 / 16.6 + 0.2
 
 
-def test_the_wanted_picture_fills_the_observers_camera() -> None:
+def test_the_wanted_picture_fills_the_observers_camera():
     eye, origin, d1, d2 = torch.tensor([[-1.0, 0.3, 1.3], [10.0, 0.8, 1.0], [0.3, -1.6, 0.0], [0.0, 0.0, -0.6]], dtype=torch.float64)
     view = picture_view(eye, origin, d1, d2)
     uv, depth = view.project(torch.stack([origin, origin + d1, origin + d1 + d2, origin + d2], -1))

@@ -1,6 +1,5 @@
 """Zones and materials through the whole chain: lamps, shadows, camera with noise, loop, recording."""
 
-from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet as pq
@@ -35,7 +34,7 @@ def scenario(functions: dict[str, dict[str, Any]], **changes: Any) -> Scenario:
     return scenario_of(ZONES, functions=functions, **{"objects": walls, **changes})
 
 
-def test_zones_settle_within_10_steps_over_all_reflectances(tmp_path: Path) -> None:
+def test_zones_settle_within_10_steps_over_all_reflectances(tmp_path):
     zones = {f"of_{100 * albedo:.0f}": ZONE | {"centre_m": [15, y, 1.0]} for albedo, y in WALLS.items()}
     result = run(scenario(zones), tmp_path / "zones", video=False, report=False)
     for zone in result.summary["zones"].values():
@@ -45,7 +44,7 @@ def test_zones_settle_within_10_steps_over_all_reflectances(tmp_path: Path) -> N
     assert lx[0] / lx[1] == pytest.approx(4.0, rel=0.2) and lx[1] / lx[2] == pytest.approx(4.0, rel=0.2)
 
 
-def test_a_white_wall_in_the_low_beam_settles_as_its_zone_counts_more_than_the_beam() -> None:
+def test_a_white_wall_in_the_low_beam_settles_as_its_zone_counts_more_than_the_beam():
     def beyond(**more: float) -> list[int]:
         """Steps in which the luminance is more than 5 % off."""
         zone = ZONE | {"centre_m": [25, 0, 1.0], "luminance_cd_m2": 0.9} | more
@@ -57,7 +56,7 @@ def test_a_white_wall_in_the_low_beam_settles_as_its_zone_counts_more_than_the_b
     assert beyond()[-1] < 5 and beyond(weight=1.0)[-1] == 10
 
 
-def test_zones_are_drawn_where_the_camera_sees_them() -> None:
+def test_zones_are_drawn_where_the_camera_sees_them():
     simulation = simulation_of(scenario({"to_the_back": ZONE | {"centre_m": [-15, 0, 1.0]}, "in_front": ZONE}, objects=[]))
     _, result = simulation.step(simulation.start())
     result = simulation.evaluate(result)
@@ -73,7 +72,7 @@ def test_zones_are_drawn_where_the_camera_sees_them() -> None:
     assert ahead.at == tuple(min(values) for values in zip(*drawn, strict=True))
 
 
-def test_materials_are_told_beside_what_was_wanted(tmp_path: Path) -> None:
+def test_materials_are_told_beside_what_was_wanted(tmp_path):
     lights = [
         {"materials": ["lane_paint"], "lx": 8.0},
         toml("{ materials = ['matt', 'skin'], luminance_cd_m2 = 0.2 }"),

@@ -4,7 +4,6 @@ import json
 import math
 import re
 import tomllib
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,7 +15,7 @@ from luxloop.loop.scenario.text import scenario_text
 from luxloop.loop.studies.beams import BeamEvaluator, BeamGoal, _method, alike, begin, descend, sample
 from luxloop.perception.detection.build import detector
 from luxloop.perception.detection.detector import HogParams, NetworkParams
-from tests.loop.conftest import Lux, assert_refused
+from tests.loop.conftest import assert_refused
 from tests.refusal import refusal
 
 SCENE: dict[str, Any] = tomllib.loads("""
@@ -41,7 +40,7 @@ def evaluator(goal: BeamGoal, params: NetworkParams | HogParams | None = None, *
     return BeamEvaluator.prepare(simulation, goal, None if params is None else detector(params, simulation.device))
 
 
-def test_the_gradient_goes_through_lamps_scene_camera_and_network() -> None:
+def test_the_gradient_goes_through_lamps_scene_camera_and_network():
     found = evaluator(BeamGoal(), NetworkParams())
     lights = tuple(torch.full_like(u, 0.1).requires_grad_(True) for u in begin(found))
     with torch.enable_grad():
@@ -58,7 +57,7 @@ def test_the_gradient_goes_through_lamps_scene_camera_and_network() -> None:
     assert losses[0] - losses[1] == pytest.approx(2 * step * float(slopes.square().sum()), rel=0.1)
 
 
-def test_descent_raises_a_metric_or_saves_energy() -> None:
+def test_descent_raises_a_metric_or_saves_energy():
     found = evaluator(BeamGoal(metric="weber_contrast"))
     start = begin(found)
     first, last = found.evaluate(start), found.evaluate(descend(found, start, 8)[0])
@@ -66,13 +65,13 @@ def test_descent_raises_a_metric_or_saves_energy() -> None:
     assert float(last.share) < float(first.share) or float(last.scores.mean()) > float(first.scores.mean())
 
 
-def test_what_has_no_gradient_is_sampled_and_never_gets_worse() -> None:
+def test_what_has_no_gradient_is_sampled_and_never_gets_worse():
     found = evaluator(BeamGoal(), HogParams())
     lights, losses = sample(found, begin(found), 4)
     assert min(losses) <= losses[0] and all(float(u.min()) >= 0 and float(u.max()) <= 1 for u in lights)
 
 
-def test_a_beam_is_dimmed_to_as_much_flux() -> None:
+def test_a_beam_is_dimmed_to_as_much_flux():
     lights, flux = (torch.tensor([0.5, 1.0]),), (torch.tensor([10.0, 20.0]),)
     assert float((alike(lights, flux, 5.0)[0] * flux[0]).sum()) == pytest.approx(5.0)
 
@@ -99,7 +98,7 @@ dimmer = { metric = "lamp.left.flux_lm", at_least = 0, compare = "full_light" }
 """
 
 
-def test_the_command_leaves_what_a_scenario_plays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_leaves_what_a_scenario_plays(tmp_path, capsys):
     file = tmp_path / "beam.toml"
     file.write_text(PLAYED)
     out = tmp_path / "out"
@@ -127,7 +126,7 @@ def test_the_command_leaves_what_a_scenario_plays(tmp_path: Path, capsys: pytest
         (f"gfhb --metric edges --out {__file__}/beam", "beam: cannot be written (Not a directory)"),
     ],
 )
-def test_what_cannot_be_optimised_is_told(line: str, words: str, lux: Lux) -> None:
+def test_what_cannot_be_optimised_is_told(line, words, lux):
     assert_refused(lux("optimise-beam", *line.split(), "--device", "cpu"), words)
 
 
@@ -142,9 +141,7 @@ class Detector:
 
 
 @pytest.mark.parametrize("there", [False, True])
-def test_a_search_that_fails_leaves_no_folder_but_one_that_was_there(
-    there: bool, lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_search_that_fails_leaves_no_folder_but_one_that_was_there(there, lux, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "detects_never.py").write_text(DETECTOR)
     own = SCENE | {"detector": {"kind": "detects_never:Detector"}}
@@ -159,7 +156,7 @@ def test_a_search_that_fails_leaves_no_folder_but_one_that_was_there(
     assert out.exists() == there
 
 
-def test_only_the_network_has_a_gradient_and_somebody_must_be_there() -> None:
+def test_only_the_network_has_a_gradient_and_somebody_must_be_there():
     with refusal("sampling"):
         _method("gradient", evaluator(BeamGoal(), HogParams()))
     with refusal("none with a category"):

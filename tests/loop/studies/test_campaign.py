@@ -19,7 +19,6 @@ from luxloop.loop.studies.campaign import JOBS, TABLE, read, run_campaign
 from luxloop.loop.studies.campaign_report import page, write_report
 from luxloop.loop.studies.jobs import dask, local
 from luxloop.loop.studies.runs import figures
-from tests.loop.conftest import Lux
 from tests.refusal import refusal
 
 ROOT = Path(__file__).parents[3]
@@ -40,7 +39,7 @@ def written(folder: Path, text: str, name: str = "night.toml") -> Path:
     return file
 
 
-def test_a_grid_and_a_list_become_runs_with_their_scenarios(tmp_path: Path) -> None:
+def test_a_grid_and_a_list_become_runs_with_their_scenarios(tmp_path):
     (tmp_path / "mine.toml").write_text(f'name = "m"\n{HELD}')
     runs = read(
         written(
@@ -57,13 +56,13 @@ def test_a_grid_and_a_list_become_runs_with_their_scenarios(tmp_path: Path) -> N
     assert next(run for run in runs if run.key == "mine, open, soon, seed 5").scenario.camera.latency_steps == 0
 
 
-def test_controllers_of_ones_own_are_found_beside_the_campaign(tmp_path: Path) -> None:
+def test_controllers_of_ones_own_are_found_beside_the_campaign(tmp_path):
     (tmp_path / "beside_it.py").write_text("")
     (run,) = read(written(tmp_path, 'scenarios = ["flat"]\ncontrollers = ["beside_it:Law"]\n'), allow_code=True)
     assert run.scenario.symbol.controller is not None and run.scenario.symbol.controller.name == f"{tmp_path}/beside_it:Law"
 
 
-def test_the_example_is_what_the_docs_show() -> None:
+def test_the_example_is_what_the_docs_show():
     example = ROOT / "scenarios" / "examples" / "night.toml"
     assert len(read(example)) == 17
     (shown,) = re.findall(r"^```\n(scenarios.*?)^```", (ROOT / "docs" / "campaigns.md").read_text(), re.M | re.S)
@@ -84,13 +83,13 @@ def test_the_example_is_what_the_docs_show() -> None:
         ('scenarios = ["flat", "./flat.toml"]', "two different runs are both called 'flat, thesis_pid, seed 0'"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_one_sentence(text: str, said: str, tmp_path: Path) -> None:
+def test_what_is_wrong_with_a_file_is_one_sentence(text, said, tmp_path):
     (tmp_path / "flat.toml").write_text(f'name = "mine"\n{HELD}')
     with refusal(rf"night\.toml.*{said}"):
         read(written(tmp_path, text))
 
 
-def test_all_errors_of_a_file_and_of_a_scenario_are_listed(tmp_path: Path) -> None:
+def test_all_errors_of_a_file_and_of_a_scenario_are_listed(tmp_path):
     with refusal(r"night\.toml: 3 errors\n  runs\[0\]\.seed: .*\n  scenario: .*\n  seeds\[0\]: ") as caught:
         read(written(tmp_path, 'scenario = ["flat"]\nseeds = [-1]\nruns = [{ scenario = "flat", seed = 2026-01-01 }]'))
     assert len(caught.value.args) == 4
@@ -98,7 +97,7 @@ def test_all_errors_of_a_file_and_of_a_scenario_are_listed(tmp_path: Path) -> No
         read(written(tmp_path, 'scenarios = ["flat"]\nvariants.wet = { camera.bit = 8, steps = 0 }'))
 
 
-def test_table_report_and_failures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_table_report_and_failures(tmp_path, monkeypatch):
     # Light that comes down behind the camera's sight is found only when the run begins.
     file = written(
         tmp_path,
@@ -128,7 +127,7 @@ def test_table_report_and_failures(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert len(started) == 2 + 4
 
 
-def test_a_campaign_whose_runs_all_fail_says_why(lux: Lux, tmp_path: Path) -> None:
+def test_a_campaign_whose_runs_all_fail_says_why(lux, tmp_path):
     file = written(tmp_path, 'scenarios = ["flat"]\ncontrollers = ["nopkg.mod:Name"]\n')
     code, out, error = lux("campaign", str(file), "--jobs", "1", "--out", "new/folder", "--allow-code")
     assert code == cli.DIFFERS
@@ -137,7 +136,7 @@ def test_a_campaign_whose_runs_all_fail_says_why(lux: Lux, tmp_path: Path) -> No
     assert pq.read_table(tmp_path / "new" / "folder" / TABLE).num_rows == 1
 
 
-def test_runs_that_differ_in_numbers_are_done_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_runs_that_differ_in_numbers_are_done_together(tmp_path, capsys):
     file = written(
         tmp_path,
         'scenarios = ["flat"]\ncontrollers = ["thesis_pid"]\nseeds = [0, 1]\n'
@@ -157,7 +156,7 @@ def test_runs_that_differ_in_numbers_are_done_together(tmp_path: Path, capsys: p
     assert again.rows == found.rows and "2 of 2 runs" in capsys.readouterr().err, "what failed is tried again, and nothing else"
 
 
-def test_command(lux: Lux, tmp_path: Path) -> None:
+def test_command(lux, tmp_path):
     file = str(written(tmp_path, 'scenarios = ["flat"]\n'))
     assert lux("campaign", file, "--jobs", "1")[0] == 0 and (tmp_path / "runs" / "night" / TABLE).exists()
     for wrong, words in (
@@ -170,7 +169,7 @@ def test_command(lux: Lux, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_patterns_of_light_are_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_patterns_of_light_are_compared(tmp_path, monkeypatch, capsys):
     text = (ROOT / "scenarios" / "examples" / "patterns.toml").read_text("utf-8").replace("seeds = [0, 1]", "seeds = [0]")
     small = 'steps = 6\nrenderer = "raycast"\ndetector.kind = "truth"\ncamera = { width_px = 320, height_px = 180, oversampling = 1 }\n'
     (tmp_path / "patterns.toml").write_text(f"{text}[set]\n{small}")
@@ -209,7 +208,7 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes
 
 
 @pytest.mark.slow
-def test_a_worker_killed_midway_costs_no_run(scheduler: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path) -> None:
+def test_a_worker_killed_midway_costs_no_run(scheduler, tmp_path):
     address, workers = scheduler
     file = written(tmp_path, 'scenarios = ["flat"]\nseeds = [0, 1, 2, 3, 4, 5, 6, 7]\n')
     execute = dask(address)
@@ -227,7 +226,7 @@ def test_a_worker_killed_midway_costs_no_run(scheduler: tuple[str, list[subproce
     assert len((tmp_path / "far" / JOBS).read_text().splitlines()) == 8
 
 
-def test_an_input_that_never_ends_is_refused(tmp_path: Path) -> None:
+def test_an_input_that_never_ends_is_refused(tmp_path):
     (tmp_path / "pipe").symlink_to("/dev/zero")
     (tmp_path / "c.toml").write_text('scenarios = ["flat"]\n[set.functions.symbol]\nimage = "./pipe"\n')
     with refusal(r"/dev/zero: cannot be read \(it is no regular file\)"):

@@ -88,26 +88,26 @@ def squares(results: Results) -> list[int]:
     return [row["square"] for row in results.rows]
 
 
-def test_results_come_in_the_order_of_jobs_with_their_parameters(done: Callable[..., Results], log: Path, tmp_path: Path) -> None:
+def test_results_come_in_the_order_of_jobs_with_their_parameters(done, log, tmp_path):
     results = done(3, 1, 2, file=tmp_path / "new" / "r.jsonl")
     assert results.rows == [{"key": f"x {x}", "x": x, "log": str(log), "square": x * x, "list": [x, x]} for x in (3, 1, 2)]
     assert results.failures == {}
 
 
-def test_what_is_done_is_not_done_again(done: Callable[..., Results], log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_done_is_not_done_again(done, log, capsys):
     for xs in ((1, 2), (1, 2, 3), (3, 3, 2)):
         assert squares(done(*xs)) == [x * x for x in xs]
     assert log.read_text().split() == ["1", "2", "3"]
     assert "2 of 3 already done" in capsys.readouterr().err
 
 
-def test_other_versions_and_parameters_are_done_anew_and_old_results_stay(done: Callable[..., Results], log: Path) -> None:
+def test_other_versions_and_parameters_are_done_anew_and_old_results_stay(done, log):
     for version, x in (("1", 1), ("2", 1), ("2", 5), ("1", 1)):
         assert squares(done(x, version=version)) == [x * x]
     assert log.read_text().split() == ["1", "1", "5"]
 
 
-def test_failures_are_collected_and_tried_again(done: Callable[..., Results], log: Path, tmp_path: Path) -> None:
+def test_failures_are_collected_and_tried_again(done, log, tmp_path):
     for _ in range(2):
         results = done(1, -1, 2)
         assert [row["x"] for row in results.rows] == [1, 2] and list(results.failures) == ["x -1"]
@@ -117,7 +117,7 @@ def test_failures_are_collected_and_tried_again(done: Callable[..., Results], lo
         assert words in run(function, numbers(1), tmp_path / "r.jsonl", version="1").failures["x 1"]
 
 
-def test_processes_have_one_thread_and_their_failures_come_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_processes_have_one_thread_and_their_failures_come_back(tmp_path, monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     both = [Job(str(value), {"process_id": value}) for value in (True, False)]
     rows = run(about, both, tmp_path / "r.jsonl", version="1", executor=local(2)).rows
@@ -136,7 +136,7 @@ def test_processes_have_one_thread_and_their_failures_come_back(tmp_path: Path, 
         pytest.param(signal.SIGKILL, True, marks=pytest.mark.slow),
     ],
 )
-def test_a_run_that_is_stopped_goes_on_where_it_was(how: signal.Signals, workers_too: bool, tmp_path: Path) -> None:
+def test_a_run_that_is_stopped_goes_on_where_it_was(how, workers_too, tmp_path):
     """Terminals and service managers send a signal to workers, too; `kill` and `timeout` do not."""
     script, log, file = tmp_path / "script.py", tmp_path / "log", tmp_path / "results.jsonl"
     script.write_text(SCRIPT)
@@ -174,7 +174,7 @@ def alive(group: int) -> bool:
     return True
 
 
-def test_a_line_cut_off_by_a_kill_is_done_again(done: Callable[..., Results], tmp_path: Path) -> None:
+def test_a_line_cut_off_by_a_kill_is_done_again(done, tmp_path):
     file = tmp_path / "r.jsonl"
     done(1, 2)
     whole = file.read_bytes()
@@ -186,7 +186,7 @@ def test_a_line_cut_off_by_a_kill_is_done_again(done: Callable[..., Results], tm
 @pytest.mark.parametrize(
     "junk", [b"\0" * 40, b'{"id": "ab\0\0\n', b"\xff\xfe\n", b'{"key": 1}\n', b'{"id": "a", "result": 5}\n', b"[", b"\n"]
 )
-def test_junk_in_the_last_line_costs_that_line(junk: bytes, done: Callable[..., Results], log: Path, tmp_path: Path) -> None:
+def test_junk_in_the_last_line_costs_that_line(junk, done, log, tmp_path):
     file = tmp_path / "r.jsonl"
     done(1, 2)
     whole = file.read_bytes()
@@ -198,7 +198,7 @@ def test_junk_in_the_last_line_costs_that_line(junk: bytes, done: Callable[..., 
 
 
 @pytest.mark.parametrize("content", [b"notes\n", b'{"a": 1}\n', b"[1]\n", b"a file of mine"])
-def test_files_of_another_kind_are_left_alone(content: bytes, done: Callable[..., Results], tmp_path: Path) -> None:
+def test_files_of_another_kind_are_left_alone(content, done, tmp_path):
     file = tmp_path / "mine.txt"
     file.write_bytes(content)
     with refusal(r"mine\.txt: holds something other than job results"):
@@ -206,13 +206,13 @@ def test_files_of_another_kind_are_left_alone(content: bytes, done: Callable[...
     assert file.read_bytes() == content
 
 
-def test_folders_that_cannot_be_written_are_said_so(tmp_path: Path) -> None:
+def test_folders_that_cannot_be_written_are_said_so(tmp_path):
     (tmp_path / "file").write_text("")
     with refusal("cannot be"):
         run(square, numbers(1), tmp_path / "file" / "r.jsonl", version="1", executor=local(1))
 
 
-def test_parquet(tmp_path: Path) -> None:
+def test_parquet(tmp_path):
     file = tmp_path / "r.parquet"
     run(square, numbers(1, 2), tmp_path / "r.jsonl", version="1", executor=local(1)).write(file)
     assert pq.read_table(file).to_pylist() == [{"key": f"x {x}", "x": x, "square": x * x, "list": [x, x]} for x in (1, 2)]

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from pydantic import BaseModel
 
 from luxloop import LuxloopError, Scenario, load
 from luxloop.loop.studies.campaign import CampaignParams
@@ -26,7 +25,7 @@ def numbers(schema: Any, place: str) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 @pytest.mark.parametrize("model", [Scenario, LampDescription, CampaignParams])
-def test_every_number_has_a_range(model: type[BaseModel]) -> None:
+def test_every_number_has_a_range(model):
     found = dict(numbers(model.model_json_schema(), model.__name__))
     endless = [place for place, schema in found.items() if not ({*LEAST} & schema.keys() and {*MOST} & schema.keys())]
     assert found and not endless
@@ -50,7 +49,7 @@ def test_every_number_has_a_range(model: type[BaseModel]) -> None:
         ),
     ],
 )
-def test_numbers_beyond_all_reason_are_told_by_their_key(scenario: str, given: str, words: str) -> None:
+def test_numbers_beyond_all_reason_are_told_by_their_key(scenario, given, words):
     with pytest.raises(LuxloopError) as error:
         load(scenario, [given])
     assert words in str(error.value)

@@ -20,7 +20,7 @@ from luxloop.loop.studies.jobs import local
 from luxloop.loop.studies.tune import FINISHED, STUDY, Task, Trace, Tuning, study_in, tune
 from luxloop.loop.studies.tune_report import BEST, PICTURE, REPORT, write
 from tests.lamps import SMALL_LAMP
-from tests.loop.conftest import Lux, assert_refused
+from tests.loop.conftest import assert_refused
 from tests.refusal import refusal
 
 SMALL = [
@@ -57,12 +57,12 @@ def task(scenario: Scenario, seeds: int = 2, *keys: str) -> Task:
         ("functions.symbol.controller.x_rate_m=-1:2", "greater than 0"),
     ],
 )
-def test_wrong_ranges_are_one_sentence(text: str, said: str, scenario: Scenario) -> None:
+def test_wrong_ranges_are_one_sentence(text, said, scenario):
     with refusal(f"{re.escape(text.partition('=')[0]) if '--key' in said else ''}.*{said}"):
         ranges.parse(text, [scenario])
 
 
-def test_every_number_that_set_takes_is_tuned(tmp_path: Path) -> None:
+def test_every_number_that_set_takes_is_tuned(tmp_path):
     """Items of lists, of tables in them, and keys of tables that are left out; what is best can be run with --set."""
     box = 'objects=[{kind="box", name="a", size_m=[0.4, 0.4, 0.3], track=[{position_m=[17, 1, 0]}]}]'
     scenario = load("flat", [*SMALL, "functions.symbol.controller.name=thesis_pid", box])
@@ -83,7 +83,7 @@ def test_every_number_that_set_takes_is_tuned(tmp_path: Path) -> None:
     assert {key: ranges.value_of(run, key) for key in keys} == values
 
 
-def test_a_whole_share_of_ones_own_part_says_how_it_can_be_a_fraction() -> None:
+def test_a_whole_share_of_ones_own_part_says_how_it_can_be_a_fraction():
     own = load("flat", ["road={ kind='own:Road', options={ share=1, width_m=1.0 } }"])
     assert not ranges.parse("road.options.width_m=0.5:2", [own]).whole
     with refusal(r"give whole ends, or road.options.share a value with a point, such as 1.0$"):
@@ -94,12 +94,12 @@ def test_a_whole_share_of_ones_own_part_says_how_it_can_be_a_fraction() -> None:
     ("text", "said"),
     [("setling", "did you mean 'settling'"), ("2 iou", "is not a term"), ("0*iou", "weighs nothing"), ("", "is not a term")],
 )
-def test_wrong_objectives_are_one_sentence(text: str, said: str) -> None:
+def test_wrong_objectives_are_one_sentence(text, said):
     with refusal(said):
         objective.parse(text)
 
 
-def test_objectives_weigh_terms_and_failures_are_dear() -> None:
+def test_objectives_weigh_terms_and_failures_are_dear():
     row = {"steps": 40, "settle_step": 10, "overshoot_percent": 20.0, "residual_percent": 5.0, "iou_mean": 0.75, "utilisation_mean": 0.1}
     assert objective.parse("settling+0.5*overshoot + 2*residual+iou+energy").cost(row) == pytest.approx(0.25 + 0.1 + 1.0 + 0.25 + 0.1)
     assert str(objective.parse("settling+0.5*overshoot")) == "settling+0.5*overshoot"
@@ -110,7 +110,7 @@ def test_objectives_weigh_terms_and_failures_are_dear() -> None:
     assert objective.parse("overshoot").cost({**row, "overshoot_percent": None}) == 0.0
 
 
-def test_a_lost_symbol_is_never_cheaper_than_one_far_off() -> None:
+def test_a_lost_symbol_is_never_cheaper_than_one_far_off():
     never = {"steps": 40, "settle_step": None, "iou_mean": 0.0, "utilisation_mean": 1.0}
     ends = ({"residual_percent": None, "overshoot_percent": None}, {"residual_percent": 40.0, "overshoot_percent": 900.0})
     for text in (*objective.TERMS, "settling+residual"):
@@ -127,7 +127,7 @@ def tuned(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Tunin
     return tune(task(scenario), tmp_path_factory.mktemp("tuned"), 5, local(1))
 
 
-def test_what_is_best_is_better_and_can_be_run(tuned: Tuning, scenario: Scenario, tmp_path: Path) -> None:
+def test_what_is_best_is_better_and_can_be_run(tuned, scenario, tmp_path):
     values, cost = tuned.best
     assert cost < tuned.given_cost
     assert cost == min(value for _, value, state in trials(tuned) if value is not None and state == "COMPLETE")
@@ -143,7 +143,7 @@ def test_what_is_best_is_better_and_can_be_run(tuned: Tuning, scenario: Scenario
 
 
 @pytest.mark.slow
-def test_two_symbols_beside_a_lane_are_tuned_but_not_by_gradient(tmp_path: Path) -> None:
+def test_two_symbols_beside_a_lane_are_tuned_but_not_by_gradient(tmp_path):
     other = "functions.other={ kind='symbol', image='snowflake', y_m=2.0, width_m=4.0, length_m=8.0, controller='thesis_pid' }"
     two = load("flat", [*SMALL, other, "functions.carpet={ kind='lane', value=0.3 }"])
     found = ("functions.symbol.controller.position.kp=0.1:2", "functions.carpet.value=0.1:0.5")
@@ -169,9 +169,7 @@ def interrupted(monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str, 
 
 
 @pytest.mark.slow
-def test_a_seeded_study_is_the_same_with_more_processes_and_after_a_stop(
-    tuned: Tuning, scenario: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_seeded_study_is_the_same_with_more_processes_and_after_a_stop(tuned, scenario, tmp_path, monkeypatch):
     interrupted(monkeypatch, module, "_run_jobs", 3)  # in the second half of the random trials, of which none is told yet
     with pytest.raises(KeyboardInterrupt, match="1 of 5 trials are kept"):
         tune(task(scenario), tmp_path, 5, local(1))
@@ -181,7 +179,7 @@ def test_a_seeded_study_is_the_same_with_more_processes_and_after_a_stop(
         assert found[1] == pytest.approx(expected[1], abs=1e-3), "batches of other sizes round otherwise"
 
 
-def test_random_trials_are_run_together_and_cost_what_they_cost_alone(tuned: Tuning, scenario: Scenario) -> None:
+def test_random_trials_are_run_together_and_cost_what_they_cost_alone(tuned, scenario):
     given, execute = task(scenario), local(1)
     for values, cost, state in trials(tuned)[1:]:
         if state == "COMPLETE":
@@ -189,7 +187,7 @@ def test_random_trials_are_run_together_and_cost_what_they_cost_alone(tuned: Tun
             assert cost == pytest.approx(sum(alone) / len(alone), abs=1e-3)
 
 
-def test_what_scenarios_do_not_share_has_no_start_value() -> None:
+def test_what_scenarios_do_not_share_has_no_start_value():
     """No trial says that one's gain costs what each costs with its own; the search by gradient starts in the middle of the range."""
     low, high = (load("snowflake", [*SEEN, f"functions.symbol.controller.position.kp={kp}"]) for kp in (0.3, 0.6))
     both = Task((low, high), small(low).ranges, objective.parse("iou"))
@@ -198,7 +196,7 @@ def test_what_scenarios_do_not_share_has_no_start_value() -> None:
     assert gradient._logits(both, both.start_values)[0] == 0
 
 
-def test_another_search_has_other_trials(tuned: Tuning, scenario: Scenario, tmp_path: Path) -> None:
+def test_another_search_has_other_trials(tuned, scenario, tmp_path):
     other = tune(replace(task(scenario), seed=1), tmp_path, 2, local(1))
     (first, *others), (given, *own) = trials(other), trials(tuned)
     assert first == given and first[0] == task(scenario).start_values  # what both know from the start
@@ -225,7 +223,7 @@ def frail(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_failures_of_trials_are_told_and_those_of_all_given_runs_stop(frail: Path) -> None:
+def test_failures_of_trials_are_told_and_those_of_all_given_runs_stop(frail):
     def weighing(weight: float) -> Task:
         own = f"functions.symbol.controller={{ name='frail_controllers:Frail', options={{ weight={weight} }} }}"
         return task(load("flat", [*SMALL, own]), 1, "functions.symbol.controller.options.weight=0.0:1.0")
@@ -241,7 +239,7 @@ def test_failures_of_trials_are_told_and_those_of_all_given_runs_stop(frail: Pat
     assert re.search(rf"{len(heavy)} runs? failed, the first: .*IndexError: too heavy", (folder / REPORT).read_text())
 
 
-def test_an_option_that_a_class_of_ones_own_lacks_is_refused_before_anything_is_made(frail: Path, lux: Lux) -> None:
+def test_an_option_that_a_class_of_ones_own_lacks_is_refused_before_anything_is_made(frail, lux):
     given = ["--controller", "frail_controllers:Frail", "--trials", "1", "--jobs", "1", "--objective", "iou", "--set", *SMALL]
     done = lux("tune", "flat", "--key", "functions.symbol.controller.options.wieght=0.1:0.4", *given)
     assert_refused(done, "controller.options.wieght: ", "did you mean 'weight'?")
@@ -249,7 +247,7 @@ def test_an_option_that_a_class_of_ones_own_lacks_is_refused_before_anything_is_
 
 
 @pytest.mark.parametrize("line", [b"{}", b"[]", b'{"op_code": 4}', b"[" * 100_000, b'{"op_code": 99, "worker_id": ""}'])
-def test_a_damaged_journal_is_one_sentence(line: bytes, tmp_path: Path) -> None:
+def test_a_damaged_journal_is_one_sentence(line, tmp_path):
     with study_in(tmp_path, "digest") as study:
         study.tell(study.ask(), 1.0)
     file = tmp_path / STUDY
@@ -259,7 +257,7 @@ def test_a_damaged_journal_is_one_sentence(line: bytes, tmp_path: Path) -> None:
         pass
 
 
-def test_other_settings_need_another_folder(tmp_path: Path) -> None:
+def test_other_settings_need_another_folder(tmp_path):
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / STUDY).write_text("notes of mine\n")
     (tmp_path / "file").write_text("")
@@ -270,7 +268,7 @@ def test_other_settings_need_another_folder(tmp_path: Path) -> None:
             pass
 
 
-def test_command(lux: Lux) -> None:
+def test_command(lux):
     given = ["--objective", "settling", "--trials", "2", "--jobs", "1", "--set", *SMALL, "functions.symbol.controller.name=thesis_pid"]
     code, out, error = lux("tune", "flat", "--key", *KEYS, *given)
     assert code == 0 and "runs/tune-flat" in out and "No trial settled; raise steps." in out
@@ -291,7 +289,7 @@ def small(scenario: Scenario) -> Task:
     return task(scenario, 1, *gains)
 
 
-def test_descent_learns_from_its_runs_and_goes_on_after_a_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_descent_learns_from_its_runs_and_goes_on_after_a_stop(tmp_path, monkeypatch):
     monkeypatch.setattr(gradient, "STEPS", 20)
     slow = small(load("snowflake", [*SEEN, "functions.symbol.controller.position.kp=0.1"]))
     tuned = gradient.tune_by_gradient(slow, tmp_path / "whole", 3, local(1))
@@ -309,7 +307,7 @@ def test_descent_learns_from_its_runs_and_goes_on_after_a_stop(tmp_path: Path, m
     assert trials(gradient.tune_by_gradient(slow, tmp_path / "stopped", 3, local(1))) == trials(tuned)
 
 
-def test_what_has_been_run_is_predicted_and_differentiable_in_gains() -> None:
+def test_what_has_been_run_is_predicted_and_differentiable_in_gains():
     simulation = Simulation.prepare(load("snowflake", SEEN))
     gains = {"functions.symbol.controller.position.kp": torch.tensor([0.5]), "functions.symbol.controller.rotation.kp": torch.tensor([0.4])}
     run = rollouts(simulation, gains)
@@ -329,7 +327,7 @@ def test_what_has_been_run_is_predicted_and_differentiable_in_gains() -> None:
     assert torch.autograd.gradcheck(errors, at)
 
 
-def test_a_run_that_saw_little_knows_nothing_of_noise() -> None:
+def test_a_run_that_saw_little_knows_nothing_of_noise():
     poses, seen = torch.zeros(1, 30, 4), torch.arange(30)[None] < 30
     long = Rollout(poses, 0.1 * torch.randn(1, 30, 4, generator=torch.Generator().manual_seed(0)), seen)
     short = replace(long, seen=torch.arange(30)[None] < 1)
@@ -337,7 +335,7 @@ def test_a_run_that_saw_little_knows_nothing_of_noise() -> None:
     assert torch.equal(Surrogate.of([long, short], 0).noise, Surrogate.of([long], 0).noise)
 
 
-def test_scenarios_of_which_all_runs_fail_are_named_with_the_reason(tmp_path: Path) -> None:
+def test_scenarios_of_which_all_runs_fail_are_named_with_the_reason(tmp_path):
     fine = load("snowflake", SEEN)
     broken = fine.model_copy(update={"name": "broken"})
     both = Task((fine, broken), small(fine).ranges, objective.parse("iou"))
@@ -349,7 +347,7 @@ def test_scenarios_of_which_all_runs_fail_are_named_with_the_reason(tmp_path: Pa
 
 
 @pytest.mark.parametrize("given", [5.4321e-8, 0.12345678])
-def test_what_descent_finds_keeps_its_digits_and_its_range(given: float) -> None:
+def test_what_descent_finds_keeps_its_digits_and_its_range(given):
     key = "functions.symbol.controller.position.ki"
     tuned = task(load("snowflake", [*SEEN, "steps=3", f"{key}={given}"]), 1, f"{key}={0.9999999 * given}:{1.0000001 * given}:log")
     (found,) = gradient._values(tuned, gradient._logits(tuned, tuned.start_values)).values()
@@ -369,6 +367,6 @@ def test_what_descent_finds_keeps_its_digits_and_its_range(given: float) -> None
         ("functions.symbol.extraction={ area_low=0.9999999, area_high=1.0000001 }", KEYS[0], "its symbol is never seen"),
     ],
 )
-def test_what_cannot_be_descended_on_is_refused(change: str, key: str, said: str, tmp_path: Path) -> None:
+def test_what_cannot_be_descended_on_is_refused(change, key, said, tmp_path):
     with refusal(said):
         gradient.tune_by_gradient(task(load("snowflake", [*SEEN, change]), 1, key), tmp_path, 2, local(1))

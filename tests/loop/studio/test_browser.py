@@ -72,14 +72,14 @@ def compared(browser: webdriver.Chrome, run: Run) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_light_in_the_shader_is_that_of_the_library(browser: webdriver.Chrome, objects: Served) -> None:
+def test_light_in_the_shader_is_that_of_the_library(browser, objects):
     visit(browser, objects)
     shader, lx, _ = compared(browser, objects.run)
     lit = lx >= 0.5
     assert lit.sum() > 500 and np.abs(shader[lit] / lx[lit] - 1).max() < 0.02
 
 
-def test_keys_steer_the_loop_on_a_page_that_asks_nobody_else_and_complains_of_nothing(page: webdriver.Chrome, objects: Served) -> None:
+def test_keys_steer_the_loop_on_a_page_that_asks_nobody_else_and_complains_of_nothing(page, objects):
     press(page, ".")
     until(page, "return document.body.innerText.includes('step 1')")
     assert len(objects.run.rows) == 2
@@ -90,7 +90,7 @@ def test_keys_steer_the_loop_on_a_page_that_asks_nobody_else_and_complains_of_no
     assert not [each["message"] for each in page.get_log("browser") if each["level"] == "SEVERE"]
 
 
-def test_texts_are_legible_and_controls_have_names(page: webdriver.Chrome) -> None:
+def test_texts_are_legible_and_controls_have_names(page):
     script = (Path(__file__).parent / "legible.js").read_text("utf-8")
     assert page.execute_script(script) == [[], []]
     for key, there in (("k", ".function"), ("e", ".things"), ("5", ".beam-controls"), ("?", "dialog[open]")):
@@ -100,7 +100,7 @@ def test_texts_are_legible_and_controls_have_names(page: webdriver.Chrome) -> No
     one(page, "dialog[open]").send_keys(Keys.ESCAPE)
 
 
-def test_a_watcher_sees_and_cannot_steer(browser: webdriver.Chrome, objects: Served) -> None:
+def test_a_watcher_sees_and_cannot_steer(browser, objects):
     visit(browser, objects, objects.tokens.watch)
     run = objects.run
     before = len(run.rows)
@@ -109,7 +109,7 @@ def test_a_watcher_sees_and_cannot_steer(browser: webdriver.Chrome, objects: Ser
     assert objects.studio.session.state.runs == (run,) and len(run.rows) == before
 
 
-def test_a_page_without_a_scenario_offers_those_there_are(browser: webdriver.Chrome) -> None:
+def test_a_page_without_a_scenario_offers_those_there_are(browser):
     for served in serving(Source("nowhere"), PAGE):
         browser.get("about:blank")
         browser.get(f"http://127.0.0.1:{served.port}/#{served.tokens.edit}")
@@ -118,7 +118,7 @@ def test_a_page_without_a_scenario_offers_those_there_are(browser: webdriver.Chr
         until(browser, "return [...document.querySelectorAll('[role=option]')].some((each) => each.dataset.name === 'gfhb')")
 
 
-def test_a_page_whose_network_is_cut_goes_on_with_the_same_run(browser: webdriver.Chrome, objects: Served) -> None:
+def test_a_page_whose_network_is_cut_goes_on_with_the_same_run(browser, objects):
     with network(objects.port) as between:
         visit(browser, replace(objects, port=between.port))
         run = objects.run
@@ -134,7 +134,7 @@ def test_a_page_whose_network_is_cut_goes_on_with_the_same_run(browser: webdrive
 
 
 @pytest.mark.slow
-def test_a_run_is_steered_scrubbed_and_compared(browser: webdriver.Chrome) -> None:
+def test_a_run_is_steered_scrubbed_and_compared(browser):
     for served in serving(Source("snowflake", SMALL), PAGE):
         visit(browser, served)
         shown = "window.luxloop.store.state.runs[0].shown?"
@@ -161,7 +161,7 @@ def test_a_run_is_steered_scrubbed_and_compared(browser: webdriver.Chrome) -> No
 
 
 @pytest.mark.slow
-def test_every_view_is_drawn(browser: webdriver.Chrome, objects: Served, tmp_path: Path) -> None:
+def test_every_view_is_drawn(browser, objects, tmp_path):
     visit(browser, objects)
     pictures = []
     for key in "12345":
@@ -172,7 +172,7 @@ def test_every_view_is_drawn(browser: webdriver.Chrome, objects: Served, tmp_pat
     assert len(set(pictures)) == 5
 
 
-def test_shadows_in_the_shader_are_those_of_the_library(browser: webdriver.Chrome, objects: Served) -> None:
+def test_shadows_in_the_shader_are_those_of_the_library(browser, objects):
     session = objects.studio.session
     number = session.state.number
     session.ask(Button(type="reset"), print)  # what other tests may have stepped

@@ -30,7 +30,7 @@ def client(served: Served) -> Iterator[Client]:
         yield client
 
 
-def test_steps_in_lockstep_are_those_of_the_command_line_bit_for_bit(client: Client) -> None:
+def test_steps_in_lockstep_are_those_of_the_command_line_bit_for_bit(client):
     frames = [client.want("frames").frames]
     frames += [client.step().frames for _ in range(5)]
     assert client.over and client.state.step == 5
@@ -46,7 +46,7 @@ def test_steps_in_lockstep_are_those_of_the_command_line_bit_for_bit(client: Cli
         client.step()
 
 
-def test_what_a_pixel_sees_is_as_the_library_has_it(client: Client) -> None:
+def test_what_a_pixel_sees_is_as_the_library_has_it(client):
     state = client.want(*EXACT)
     world = prepare(load("snowflake", SMALL), "cpu").world
     lit = world.lit(state.time_s)
@@ -59,7 +59,7 @@ def test_what_a_pixel_sees_is_as_the_library_has_it(client: Client) -> None:
     assert np.array_equal(state.depth > 0, state.instances > 0)
 
 
-def test_objects_are_told_with_their_boxes(client: Client) -> None:
+def test_objects_are_told_with_their_boxes(client):
     walker = {"kind": "pedestrian", "name": "walker", "category": "pedestrian", "track": [{"position_m": [15.0, 0.0, 0.0]}]}
     client.set({"objects": [walker]})
     client.want(*EXACT)
@@ -71,7 +71,7 @@ def test_objects_are_told_with_their_boxes(client: Client) -> None:
     assert found["T_world_object"][3] == pytest.approx(15.0, abs=0.5) and found["size_m"][2] > 1.0
 
 
-def test_light_and_utilisations_are_those_that_are_shown_and_nothing_is_made_that_nobody_wants(client: Client, served: Served) -> None:
+def test_light_and_utilisations_are_those_that_are_shown_and_nothing_is_made_that_nobody_wants(client, served):
     client.want("light", "matrix")
     state, run = client.step(), served.run
     for module, u in zip(run.simulation.modules, run.snapshots[-1].lights, strict=True):
@@ -86,7 +86,7 @@ def test_light_and_utilisations_are_those_that_are_shown_and_nothing_is_made_tha
     assert run.snapshots[-1].exact and not run.snapshots[-2].exact
 
 
-def test_raw_utilisations_are_shown_in_the_next_step_and_recorded_as_an_edit(client: Client, served: Served) -> None:
+def test_raw_utilisations_are_shown_in_the_next_step_and_recorded_as_an_edit(client, served):
     module = client.facts["modules"][0]
     name, size = module["name"], (module["pixel_rows"], module["pixel_cols"])
     for share in (0.2, 0.6):
@@ -100,7 +100,7 @@ def test_raw_utilisations_are_shown_in_the_next_step_and_recorded_as_an_edit(cli
             client.show(wrong, picture)
 
 
-def test_modules_are_commanded(client: Client) -> None:
+def test_modules_are_commanded(client):
     client._ask("open", name="flat", overrides=[*SMALL, "functions.symbol={}", "headlight.model=ssl-hd"])
     for command, expected in (
         ({"swivel_deg": 5.0, "intensity": 0.5}, {"swivel_deg": 5.0, "intensity": 0.5}),
@@ -111,7 +111,7 @@ def test_modules_are_commanded(client: Client) -> None:
         assert {key: metrics[f"modules.left hires.{key}"] for key in expected} == expected
 
 
-def test_who_runs_freely_gets_the_newest_and_the_last(client: Client) -> None:
+def test_who_runs_freely_gets_the_newest_and_the_last(client):
     client.set({"steps": 60})
     client.want("matrix")
     client.play()
@@ -125,7 +125,7 @@ def test_who_runs_freely_gets_the_newest_and_the_last(client: Client) -> None:
     assert client.state.step == 0 and not client.over
 
 
-def test_errors_are_raised_and_watchers_change_nothing(client: Client, served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errors_are_raised_and_watchers_change_nothing(client, served, monkeypatch):
     for changes, words in (
         ({"camera.bitz": 8}, "did you mean 'bits'"),
         ({"headlight.model": "/etc/passwd"}, "names a file"),
@@ -158,7 +158,7 @@ def blocks() -> set[str]:
 
 
 @pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="lists shared memory as Linux does")
-def test_memory_has_what_the_socket_brings_and_goes_with_the_client(client: Client, served: Served) -> None:
+def test_memory_has_what_the_socket_brings_and_goes_with_the_client(client, served):
     views = ("light", "matrix", *EXACT)
     client.want(*views)
     others = blocks()
@@ -182,7 +182,7 @@ def test_memory_has_what_the_socket_brings_and_goes_with_the_client(client: Clie
     assert blocks() == others
 
 
-def test_who_reads_too_late_is_told_so() -> None:
+def test_who_reads_too_late_is_told_so():
     written, mapped = Blocks(), BlockReader()
     try:
         first = written.put(0, 1, {"a": np.arange(6, dtype=np.float32)})
@@ -202,7 +202,7 @@ def test_who_reads_too_late_is_told_so() -> None:
     assert written.put(0, 5, {}) is None
 
 
-def test_memory_is_shared_with_this_machine_alone(client: Client, served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_is_shared_with_this_machine_alone(client, served, monkeypatch):
     for each in served.studio._clients:
         monkeypatch.setattr(each, "is_here", False)
     with refusal("same machine"):

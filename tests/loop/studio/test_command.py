@@ -20,7 +20,7 @@ STUDIO = [sys.executable, "-c", MAIN, "studio", "snowflake", "--port", "0"]
 
 
 @pytest.mark.parametrize(("host", "port"), [("127.0.0.1", 80_000), ("127.0.0.1", -1), ("a" * 300, 0), ("a\0", 0)])
-def test_an_address_that_cannot_be_had_is_refused(host: str, port: int, tmp_path: Path) -> None:
+def test_an_address_that_cannot_be_had_is_refused(host, port, tmp_path):
     async def serve() -> None:
         await Studio((), tmp_path, Tokens()).serve(host, port)
 
@@ -30,7 +30,7 @@ def test_an_address_that_cannot_be_had_is_refused(host: str, port: int, tmp_path
 
 @pytest.mark.skipif(not (PAGE / "index.html").is_file(), reason="the page is not built; make studio does that")
 @pytest.mark.parametrize("before", [signal.SIG_DFL, signal.SIG_IGN], ids=["at a terminal", "in the background of a script"])
-def test_sigterm_ends_it_and_no_argument_of_its_browser_tells_the_token(before: signal.Handlers, tmp_path: Path) -> None:
+def test_sigterm_ends_it_and_no_argument_of_its_browser_tells_the_token(before, tmp_path):
     """A shell's background processes ignore SIGINT. The browser is one that runs in the terminal."""
     root, browser, opened = str(Path(__file__).parents[3]), tmp_path / "browser", tmp_path / "opened"
     browser.write_text(f"#!/bin/sh\necho $1 > {opened}.part; mv {opened}.part {opened}; exec sleep 60 > /dev/null 2>&1\n")

@@ -48,9 +48,7 @@ def driver(editor: Watcher) -> Watcher:
     return editor
 
 
-def test_a_drive_goes_on_beyond_the_steps_is_recorded_and_repeated_bit_for_bit(
-    served: Served, driver: Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_drive_goes_on_beyond_the_steps_is_recorded_and_repeated_bit_for_bit(served, driver, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     driver.say("record", folder="drive")
     driver.of("status", recording="drive")
@@ -79,7 +77,7 @@ def test_a_drive_goes_on_beyond_the_steps_is_recorded_and_repeated_bit_for_bit(
     assert np.array_equal(again.world.motion.states, run.simulation.world.motion.states)
 
 
-def test_a_drive_is_the_same_as_its_scenario_run_anew(served: Served, driver: Watcher, tmp_path: Path) -> None:
+def test_a_drive_is_the_same_as_its_scenario_run_anew(served, driver, tmp_path):
     driver.say("drive", throttle=1.0, steering=1.0)
     driver.step(1, 2, 3)
     driver.say("drive", throttle=None, steering=None)
@@ -88,7 +86,7 @@ def test_a_drive_is_the_same_as_its_scenario_run_anew(served: Served, driver: Wa
     assert load(str(tmp_path / "driven.toml")) == served.scenario
 
 
-def test_edits_while_somebody_drives_are_taken_back_and_the_drive_stays(served: Served, driver: Watcher) -> None:
+def test_edits_while_somebody_drives_are_taken_back_and_the_drive_stays(served, driver):
     driver.say("drive", throttle=1.0, steering=0.0)
     driver.step(*range(1, 4))
     driver.set("lighting.base.beam=high")
@@ -99,7 +97,7 @@ def test_edits_while_somebody_drives_are_taken_back_and_the_drive_stays(served: 
     assert served.scenario.vehicle.course == course
 
 
-def test_who_goes_away_lets_go(served: Served, driver: Watcher) -> None:
+def test_who_goes_away_lets_go(served, driver):
     with watching(served.port, served.tokens.edit) as other:
         other.of("scenario")
         other.say("pen")
@@ -111,7 +109,7 @@ def test_who_goes_away_lets_go(served: Served, driver: Watcher) -> None:
     assert served.studio.session._steering is None
 
 
-def test_traffic_stays_as_it_was_made(served: Served, driver: Watcher) -> None:
+def test_traffic_stays_as_it_was_made(served, driver):
     driver.set("traffic={seed=3}", "steps=60")
     before = served.scenario.all_objects
     assert before
@@ -123,7 +121,7 @@ def test_traffic_stays_as_it_was_made(served: Served, driver: Watcher) -> None:
     assert driver.of("edit")[0]["model"]["steps"] == 60
 
 
-def test_who_stands_cannot_drive_and_watchers_neither(served: Served, driver: Watcher) -> None:
+def test_who_stands_cannot_drive_and_watchers_neither(served, driver):
     driver.say("set", overrides=["vehicle={}"])
     driver.of("scenario")
     with watching(served.port, served.tokens.watch) as watcher:
@@ -132,7 +130,7 @@ def test_who_stands_cannot_drive_and_watchers_neither(served: Served, driver: Wa
             assert words in each.of("error", about="drive")[0]["text"]
 
 
-def test_the_indicator_acts_at_the_next_step_and_is_repeated(driver: Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_indicator_acts_at_the_next_step_and_is_repeated(driver, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     driver.set('lighting.base.beam="off"', 'functions.turning={kind="primitive", indicated="left"}')
     driver.reset()

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 
 import pytest
-from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 
@@ -24,7 +23,7 @@ def car() -> Iterator[Served]:
     yield from serving(Source("gfhb", (*PLAIN, "vehicle.course=[{speed_m_s=5.0}]", "steps=2")), PAGE)
 
 
-def test_keys_drive_the_car_and_switch_its_light(browser: webdriver.Chrome, car: Served) -> None:
+def test_keys_drive_the_car_and_switch_its_light(browser, car):
     visit(browser, car)
     until(browser, f"return !{BUTTON}.disabled")
     browser.execute_script(f"{BUTTON}.click()")
@@ -60,7 +59,7 @@ def test_keys_drive_the_car_and_switch_its_light(browser: webdriver.Chrome, car:
 
 
 @pytest.mark.slow
-def test_a_car_that_stands_is_put_on_wheels(browser: webdriver.Chrome, car: Served) -> None:
+def test_a_car_that_stands_is_put_on_wheels(browser, car):
     browser.get("about:blank")
     with watching(car.port, car.tokens.edit) as other:
         other.of("scenario")

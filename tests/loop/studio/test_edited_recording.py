@@ -10,7 +10,6 @@ from luxloop.loop.recording.manifest import REPORT
 from luxloop.loop.recording.replay import load as recording
 from luxloop.loop.recording.replay import replay
 from luxloop.loop.studio.sources import Source
-from tests.loop.studio.clients import Watcher
 from tests.loop.studio.conftest import SMALL, Served, serving
 
 HELD = "{kind='symbol',image='snowflake',x_m=17.0,yaw_deg=20.0}"
@@ -29,7 +28,7 @@ def served(page_folder: Path) -> Iterator[Served]:
 
 
 @pytest.mark.slow
-def test_functions_come_and_go_in_a_recording(editor: Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_functions_come_and_go_in_a_recording(editor, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     editor.of("step", step=0)
     editor.say("record", folder="mine")
@@ -47,7 +46,7 @@ def test_functions_come_and_go_in_a_recording(editor: Watcher, tmp_path: Path, m
     assert replay(tmp_path / "runs/mine").agrees
 
 
-def test_a_check_of_what_is_not_recorded_is_refused(editor: Watcher, served: Served) -> None:
+def test_a_check_of_what_is_not_recorded_is_refused(editor, served):
     before = served.scenario
     editor.say("set", overrides=["checks.mine={metric='flux_lmm',at_least=0.5}"])
     assert "flux_lmm" in editor.of("error")[0]["text"]

@@ -1,7 +1,6 @@
 """The controls of the scenario's keys in a real browser: a value reaches the simulation, and a refusal appears beside its control."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from selenium import webdriver
@@ -49,7 +48,7 @@ def searched(browser: webdriver.Chrome, words: str, key: str) -> WebElement:
     return one(browser, f".keys-found [data-key='{key}']")
 
 
-def test_a_slider_s_gain_reaches_the_controller_at_the_next_step(page: webdriver.Chrome, symbol: Served) -> None:
+def test_a_slider_s_gain_reaches_the_controller_at_the_next_step(page, symbol):
     run = symbol.run
     before = run.simulation.symbol.params.position.kp
     slider = labelled(page, "functions.symbol.controller.position.kp, slider")
@@ -64,7 +63,7 @@ def test_a_slider_s_gain_reaches_the_controller_at_the_next_step(page: webdriver
     until_here(lambda: run.simulation.symbol.params.position.kp == before)
 
 
-def test_what_is_refused_is_told_beside_its_control_and_changes_nothing(page: webdriver.Chrome, symbol: Served) -> None:
+def test_what_is_refused_is_told_beside_its_control_and_changes_nothing(page, symbol):
     before = symbol.scenario
     row = searched(page, "pixel_controller", "pixel_controller")
     field = row.find_element(By.TAG_NAME, "input")
@@ -75,7 +74,7 @@ def test_what_is_refused_is_told_beside_its_control_and_changes_nothing(page: we
     assert field.get_attribute("value") == "ssc" and symbol.scenario == before
 
 
-def test_a_text_proposes_what_there_is(page: webdriver.Chrome, symbol: Served) -> None:
+def test_a_text_proposes_what_there_is(page, symbol):
     for key, name in (
         ("headlight.model", "hd84"),
         ("functions.symbol.image", "chevrons"),
@@ -87,7 +86,7 @@ def test_a_text_proposes_what_there_is(page: webdriver.Chrome, symbol: Served) -
         assert name in page.execute_script(proposed, key)
 
 
-def test_a_function_is_switched_off_and_on_and_its_controller_is_another(page: webdriver.Chrome, symbol: Served) -> None:
+def test_a_function_is_switched_off_and_on_and_its_controller_is_another(page, symbol):
     before = symbol.scenario.functions
     labelled(page, "functions.symbol: on or off").click()
     until_here(lambda: not symbol.scenario.functions)
@@ -102,7 +101,7 @@ def test_a_function_is_switched_off_and_on_and_its_controller_is_another(page: w
     until_here(lambda: symbol.scenario.functions == before)
 
 
-def test_a_disturbance_holds_from_the_next_step_for_a_second(page: webdriver.Chrome, symbol: Served) -> None:
+def test_a_disturbance_holds_from_the_next_step_for_a_second(page, symbol):
     run = symbol.run
     page.find_element(By.XPATH, "//*[@aria-label='Disturb']/button[text()='lost frames']").click()
     until_here(lambda: symbol.scenario.disturbances.drops)
@@ -111,9 +110,7 @@ def test_a_disturbance_holds_from_the_next_step_for_a_second(page: webdriver.Chr
     until(page, "return document.querySelector('.disturb [aria-pressed=true]')?.textContent === 'lost frames'")
 
 
-def test_the_scenario_is_saved_and_the_run_recorded(
-    page: webdriver.Chrome, symbol: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_scenario_is_saved_and_the_run_recorded(page, symbol, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # where the server makes its folder of recordings
     page.execute_script("URL.createObjectURL = (blob) => { blob.text().then((text) => { window.saved = text; }); return '#'; }")
     press(page, Keys.CONTROL, "s")
@@ -128,7 +125,7 @@ def test_the_scenario_is_saved_and_the_run_recorded(
     assert folder.name.startswith("snowflake_") and (folder / "manifest.json").is_file()
 
 
-def test_a_watcher_reads_and_cannot_change(browser: webdriver.Chrome, symbol: Served) -> None:
+def test_a_watcher_reads_and_cannot_change(browser, symbol):
     keys_of(browser, symbol, symbol.tokens.watch)
     controls = browser.find_elements(By.CSS_SELECTOR, ".keys-panel fieldset :is(input, select, button)")
     assert len(controls) > 20 and not any(each.is_enabled() for each in controls)

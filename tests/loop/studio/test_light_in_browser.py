@@ -43,7 +43,7 @@ def probed(page: webdriver.Chrome, points: np.ndarray) -> np.ndarray:
     return np.array(page.execute_script(PROBE, points.ravel().tolist()))
 
 
-def test_a_click_lights_the_place_by_the_pixels_that_the_library_names(page: webdriver.Chrome, dark: Served) -> None:
+def test_a_click_lights_the_place_by_the_pixels_that_the_library_names(page, dark):
     canvas = one(page, ".scene canvas")
     pressed(page, "light")
     ActionChains(page).move_to_element_with_offset(canvas, 12, -30).click().perform()
@@ -62,7 +62,7 @@ def test_a_click_lights_the_place_by_the_pixels_that_the_library_names(page: web
     assert page.execute_script("return luxloop.painting.marked.get(0).size") > 0
 
 
-def test_the_road_becomes_as_bright_as_is_wanted(page: webdriver.Chrome, dark: Served) -> None:
+def test_the_road_becomes_as_bright_as_is_wanted(page, dark):
     pressed(page, "lux")
     page.execute_script("luxloop.wanted.road.paint(28, 0, 3, 0.5)")
     pressed(page, "paint it")
@@ -80,7 +80,7 @@ def test_the_road_becomes_as_bright_as_is_wanted(page: webdriver.Chrome, dark: S
     assert probed(page, np.array([[28.0, 6.0, 0], [28.0, -6.0, 0], [45.0, 0, 0]])).max() < 0.1
 
 
-def test_the_wall_becomes_as_bright_as_is_wanted(page: webdriver.Chrome, dark: Served) -> None:
+def test_the_wall_becomes_as_bright_as_is_wanted(page, dark):
     press(page, "5")
     pressed(page, "lux")
     canvas = one(page, ".scene canvas")

@@ -1,6 +1,5 @@
 """Meshes of bodies: each is made once, and those that nobody has seen for long are forgotten."""
 
-import pytest
 import torch
 import trimesh
 
@@ -14,7 +13,7 @@ def placed(name: str) -> Instance:
     return Instance(1, Body(name, trimesh.creation.box(), 0.5), torch.eye(4, dtype=torch.float64))
 
 
-def test_the_mesh_not_seen_for_longest_is_forgotten_and_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_mesh_not_seen_for_longest_is_forgotten_and_made_again(monkeypatch):
     made, (a, b, c) = Meshes(), [placed(name) for name in "abc"]
     ((first, _),) = made.assign([a])
     monkeypatch.setattr(meshes, "KEPT_BYTES", 2 * sum(each.nbytes for each in made.of[first][1].values()))
@@ -24,7 +23,7 @@ def test_the_mesh_not_seen_for_longest_is_forgotten_and_made_again(monkeypatch: 
     assert made.assign([b])[0][0] == first + 1 and made.of.keys() == {first + 1, first + 2}
 
 
-def test_all_meshes_of_a_step_are_there_however_large(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_meshes_of_a_step_are_there_however_large(monkeypatch):
     monkeypatch.setattr(meshes, "KEPT_BYTES", 1)
     made, bodies = Meshes(), [placed(name) for name in "abc"]
     made.assign([placed("old")])

@@ -17,7 +17,7 @@ from tests.refusal import refusal
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.uint32, np.float16, np.float32])
-def test_arrays_and_pictures_come_back_bit_for_bit(dtype: type) -> None:
+def test_arrays_and_pictures_come_back_bit_for_bit(dtype):
     rng = np.random.default_rng(0)
     sent = {"noise": (100 * rng.random((5, 7))).astype(dtype), "zeros": np.zeros((40, 30), dtype)}
     picture = rng.integers(0, 256, (9, 13)).astype(np.uint8)
@@ -27,12 +27,12 @@ def test_arrays_and_pictures_come_back_bit_for_bit(dtype: type) -> None:
         assert got[name].dtype == each.dtype and np.array_equal(got[name], each)
 
 
-def test_numbers_that_are_not_finite_are_null() -> None:
+def test_numbers_that_are_not_finite_are_null():
     text = pack({"values": [float("nan"), {"deep": float("inf")}, 1.5]})[LENGTH.size :]
     assert json.loads(text) == {"values": [None, {"deep": None}, 1.5]}
 
 
-def test_types_of_the_page_are_those_of_the_messages() -> None:
+def test_types_of_the_page_are_those_of_the_messages():
     spec = importlib.util.spec_from_file_location("protocol", Path(__file__).parents[3] / "scripts/protocol.py")
     assert spec is not None and spec.loader is not None
     protocol = importlib.util.module_from_spec(spec)
@@ -40,7 +40,7 @@ def test_types_of_the_page_are_those_of_the_messages() -> None:
     assert protocol.FILE.read_text("utf-8") == protocol.typescript(), "run scripts/protocol.py"
 
 
-def test_messages_are_read() -> None:
+def test_messages_are_read():
     assert read(message(type="set", overrides=["camera.bits=8"])) == (Set(type="set", overrides=("camera.bits=8",)), {})
     assert read(message(type="speed", factor=None)) == (Speed(type="speed", factor=None), {})
 
@@ -49,7 +49,7 @@ PAINT: dict[str, Any] = {"type": "paint", "module": 0, "box": [0, 5, 0, 7]}
 
 
 @pytest.mark.parametrize("coding", ["raw", "deflate", "png"])
-def test_a_body_is_read_bit_for_bit(coding: str) -> None:
+def test_a_body_is_read_bit_for_bit(coding):
     rng = np.random.default_rng(0)
     sent = {name: rng.integers(0, 256, (5, 7)).astype(np.uint8) for name in ("value", "painted")}
     head, got = read(message(sent, coding, **PAINT))
@@ -106,7 +106,7 @@ LARGE_PNG = cv2.imencode(".png", np.zeros((4000, 4000), np.uint8))[1].tobytes()
         (LENGTH.pack(10) + zlib.compress(b"{}" * 9)[:10], "message"),
     ],
 )
-def test_what_is_no_message_and_a_body_that_is_not_as_it_is_said_to_be_are_refused(data: bytes | str, told: str) -> None:
+def test_what_is_no_message_and_a_body_that_is_not_as_it_is_said_to_be_are_refused(data, told):
     with refusal(told) as error:
         read(data)
     assert "\n" not in str(error.value) and str(error.value).startswith("message: ")

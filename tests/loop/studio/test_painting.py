@@ -44,7 +44,7 @@ def until_lit(watcher: Watcher, expected: np.ndarray) -> None:
     watcher.until(lambda head: "u.0" in head.get("arrays", {}) and np.array_equal(watcher.got[-1][1]["u.0"], expected))
 
 
-def test_the_place_that_lights_up_is_that_of_the_pixels(served: Served, editor: Watcher) -> None:
+def test_the_place_that_lights_up_is_that_of_the_pixels(served, editor):
     """The brightest texel of the light that arrives, cast onto the road, lies where the pixels' own light is brightest."""
     rows, cols = SIZE
     row, col = int(0.8 * rows), int(0.4 * cols)
@@ -82,7 +82,7 @@ def on_road(T_world_module: torch.Tensor, tangents: tuple[float, float]) -> torc
     return origin + (tip - origin) * origin[2] / (origin[2] - tip[2])
 
 
-def test_boxes_add_up_and_what_is_rubbed_out_is_as_before(served: Served, bare: Watcher) -> None:
+def test_boxes_add_up_and_what_is_rubbed_out_is_as_before(served, bare):
     _, cols = SIZE
     bare.reset()
     before = bare.of("step", step=0)[1]["u.0"]
@@ -104,7 +104,7 @@ def test_boxes_add_up_and_what_is_rubbed_out_is_as_before(served: Served, bare: 
     assert again.at(1).lights[0].equal(published.runs[0].snapshots[1].lights[0])
 
 
-def test_strokes_are_taken_back_and_saved(served: Served, bare: Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_strokes_are_taken_back_and_saved(served, bare, tmp_path, monkeypatch):
     monkeypatch.setattr("luxloop.loop.studio.session.TOGETHER_S", 0.0)  # a stroke may rest while it is drawn
     expected = np.zeros(SIZE, np.uint8)
     expected[2, 0:4] = 255
@@ -124,7 +124,7 @@ def test_strokes_are_taken_back_and_saved(served: Served, bare: Watcher, tmp_pat
         until_lit(bare, light)
 
 
-def test_what_does_not_fit_changes_nothing(served: Served, editor: Watcher) -> None:
+def test_what_does_not_fit_changes_nothing(served, editor):
     before = served.scenario
     for module, box, words in (
         *((9, [0, 1, 0, 5], "no module 9"), (0, [0, 4, 0, 99999], "not within")),
@@ -145,7 +145,7 @@ def lit(served: Served, point: list[float], module: int = 0) -> float:
     return float(intensity) / float((there - T[:3, 3:]).square().sum())
 
 
-def test_a_place_of_the_world_is_lit_by_the_pixels_that_are_named(served: Served, bare: Watcher) -> None:
+def test_a_place_of_the_world_is_lit_by_the_pixels_that_are_named(served, bare):
     point = [25.0, 1.0, 0.0]
     bare.say("place", point_m=point)
     head, _ = bare.of("place")
@@ -160,7 +160,7 @@ def test_a_place_of_the_world_is_lit_by_the_pixels_that_are_named(served: Served
     assert bare.of("place")[0]["modules"] == []
 
 
-def test_light_wanted_on_the_wall_is_painted(served: Served, bare: Watcher) -> None:
+def test_light_wanted_on_the_wall_is_painted(served, bare):
     raster = {"lx": np.zeros((70, 240), np.float32), "painted": np.zeros((70, 240), np.uint8)}
     raster["lx"][30:40, 115:125] = 2  # half a metre above and below the ground, and to both sides
     raster["painted"][30:40, 115:125] = 1
@@ -175,7 +175,7 @@ def test_light_wanted_on_the_wall_is_painted(served: Served, bare: Watcher) -> N
     assert "'road' or 'wall'" in bare.of("error")[0]["text"]
 
 
-def test_light_wanted_on_the_road_is_painted_on_all_modules_together(served: Served, bare: Watcher) -> None:
+def test_light_wanted_on_the_road_is_painted_on_all_modules_together(served, bare):
     raster = {"lx": np.zeros((60, 20), np.float32), "painted": np.zeros((60, 20), np.uint8)}
     raster["lx"][24:36, 7:13] = raster["painted"][24:36, 7:13] = 1
     bare.say("wish", raster, box_m=[0, 60, -10, 10])

@@ -2,7 +2,6 @@
 
 import base64
 from collections.abc import Iterator
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -90,7 +89,7 @@ def is_lit(page: webdriver.Chrome, served: Served, expected: np.ndarray) -> None
     WebDriverWait(page, 20, 0.1).until(agree, "page and scenario differ")  # the last part of a stroke may still be under way
 
 
-def test_a_stroke_is_light_where_it_was_drawn(page: webdriver.Chrome, plain: Served) -> None:
+def test_a_stroke_is_light_where_it_was_drawn(page, plain):
     before = utilisations(page)
     drawn(page, (0, 3), (0, 8), (2, 8))
     expected = before.copy()
@@ -102,7 +101,7 @@ def test_a_stroke_is_light_where_it_was_drawn(page: webdriver.Chrome, plain: Ser
     is_lit(page, plain, expected)
 
 
-def test_it_is_shown_in_place_of_the_functions_and_filled(page: webdriver.Chrome, plain: Served) -> None:
+def test_it_is_shown_in_place_of_the_functions_and_filled(page, plain):
     clicked(page, "line")
     drawn(page, (0, 14), (2, 14))
     page.execute_script("luxloop.painting.value = 51; luxloop.painting.setOver(false)")
@@ -114,7 +113,7 @@ def test_it_is_shown_in_place_of_the_functions_and_filled(page: webdriver.Chrome
     page.execute_script("luxloop.painting.value = 255; luxloop.painting.setOver(true)")
 
 
-def test_undo_takes_a_stroke_off_the_page(page: webdriver.Chrome, plain: Served) -> None:
+def test_undo_takes_a_stroke_off_the_page(page, plain):
     before = utilisations(page)
     clicked(page, "brush")
     drawn(page, (0, 3), (0, 8))
@@ -124,7 +123,7 @@ def test_undo_takes_a_stroke_off_the_page(page: webdriver.Chrome, plain: Served)
     WebDriverWait(page, 20, 0.1).until(lambda page: np.array_equal(utilisations(page), before))
 
 
-def test_a_text_is_written_where_one_clicks(page: webdriver.Chrome, plain: Served) -> None:
+def test_a_text_is_written_where_one_clicks(page, plain):
     clicked(page, "text")
     page.execute_script("luxloop.painting.thickness = 3")
     drawn(page, (2, 9))
@@ -138,7 +137,7 @@ def test_a_text_is_written_where_one_clicks(page: webdriver.Chrome, plain: Serve
     clicked(page, "brush")
 
 
-def test_files_are_taken_where_they_fit_and_saved_as_shown(page: webdriver.Chrome, plain: Served, tmp_path: Path) -> None:
+def test_files_are_taken_where_they_fit_and_saved_as_shown(page, plain, tmp_path):
     picture = np.random.default_rng(0).integers(0, 256, (ROWS, COLUMNS)).astype(np.uint8)
     cv2.imwrite(str(tmp_path / "mine.png"), picture)
     np.savetxt(tmp_path / "wrong.csv", np.zeros((4, COLUMNS)), delimiter=",")
@@ -165,7 +164,7 @@ def test_files_are_taken_where_they_fit_and_saved_as_shown(page: webdriver.Chrom
 
 
 @pytest.mark.slow
-def test_what_another_client_paints_is_shown(page: webdriver.Chrome, plain: Served) -> None:
+def test_what_another_client_paints_is_shown(page, plain):
     before = utilisations(page)
     drawn(page, (1, 1))
     before[1, 1] = 255

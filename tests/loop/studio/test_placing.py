@@ -97,7 +97,7 @@ def waited(served: Served, fits: Callable[[Scenario], bool]) -> Scenario:
     return served.scenario
 
 
-def test_an_arrow_of_the_gizmo_moves_a_primitive_along_its_axis(page: webdriver.Chrome, plain: Served) -> None:
+def test_an_arrow_of_the_gizmo_moves_a_primitive_along_its_axis(page, plain):
     before = plain.scenario.functions["carpet"]
     chosen(page, "functions.carpet")
     start = page.execute_script(HANDLE, "translate", "Y")
@@ -109,7 +109,7 @@ def test_an_arrow_of_the_gizmo_moves_a_primitive_along_its_axis(page: webdriver.
     assert end[0] - start[0] == pytest.approx(-40, abs=4)  # the arrow follows the pointer, and is drawn in another size farther off
 
 
-def test_what_is_chosen_is_dragged_over_the_road(page: webdriver.Chrome, plain: Served) -> None:
+def test_what_is_chosen_is_dragged_over_the_road(page, plain):
     before = plain.scenario.functions["carpet"]
     chosen(page, "functions.carpet")
     x, y = page.execute_script(PLACE, "functions.carpet", *CORNER)
@@ -121,7 +121,7 @@ def test_what_is_chosen_is_dragged_over_the_road(page: webdriver.Chrome, plain: 
 
 
 @pytest.mark.slow
-def test_handles_turn_and_scale_about_the_middle(page: webdriver.Chrome, plain: Served) -> None:
+def test_handles_turn_and_scale_about_the_middle(page, plain):
     chosen(page, "functions.carpet")
     before = plain.scenario.functions["carpet"]
     press(page, "b")
@@ -141,7 +141,7 @@ def test_handles_turn_and_scale_about_the_middle(page: webdriver.Chrome, plain: 
 
 
 @pytest.mark.slow
-def test_what_is_chosen_together_moves_together(page: webdriver.Chrome, plain: Served) -> None:
+def test_what_is_chosen_together_moves_together(page, plain):
     chosen(page, "functions.carpet")
     page.execute_script("luxloop.placing.choose('objects[0]', true)")
     until(page, "return luxloop.placing.chosen.length === 2")
@@ -154,7 +154,7 @@ def test_what_is_chosen_together_moves_together(page: webdriver.Chrome, plain: S
     assert after.functions["carpet"].x_m == before.functions["carpet"].x_m
 
 
-def test_an_object_is_dragged_and_prepared_anew_where_it_was_let_go(page: webdriver.Chrome, plain: Served) -> None:
+def test_an_object_is_dragged_and_prepared_anew_where_it_was_let_go(page, plain):
     number = plain.studio.session.state.number
     chosen(page, "objects[0]")
     x, y = page.execute_script(PLACE, "objects[0]", 0, 0.8, 1.2)
@@ -169,7 +169,7 @@ def test_an_object_is_dragged_and_prepared_anew_where_it_was_let_go(page: webdri
     assert plain.studio.session.state.number == number  # the run goes on
 
 
-def test_a_click_on_the_road_places_a_primitive_and_delete_removes_it(page: webdriver.Chrome, plain: Served) -> None:
+def test_a_click_on_the_road_places_a_primitive_and_delete_removes_it(page, plain):
     Select(one(page, ".things [aria-label=Add]")).select_by_visible_text("primitive on the road")
     until(page, "return luxloop.placing.clicking !== null")
     pixel = (150, 200)
@@ -183,7 +183,7 @@ def test_a_click_on_the_road_places_a_primitive_and_delete_removes_it(page: webd
 
 
 @pytest.mark.slow
-def test_an_object_is_duplicated_switched_off_and_on_and_removed(page: webdriver.Chrome, plain: Served) -> None:
+def test_an_object_is_duplicated_switched_off_and_on_and_removed(page, plain):
     chosen(page, "objects[0]")
     press(page, "D")
     both = waited(plain, lambda now: len(now.objects) == 2).objects
@@ -200,7 +200,7 @@ def test_an_object_is_duplicated_switched_off_and_on_and_removed(page: webdriver
 
 
 @pytest.mark.slow
-def test_an_object_goes_a_course_of_clicked_points_and_halts(page: webdriver.Chrome, plain: Served) -> None:
+def test_an_object_goes_a_course_of_clicked_points_and_halts(page, plain):
     chosen(page, "objects[0]")
     start = plain.scenario.objects[0].track[0].position_m
     page.find_element(By.XPATH, "//button[text()='Course']").click()
@@ -218,7 +218,7 @@ def test_an_object_goes_a_course_of_clicked_points_and_halts(page: webdriver.Chr
     assert np.hypot(pose.position_m[0] - start[0], pose.position_m[1] - start[1]) < 0.5  # of the way of a step or two at 2 m/s
 
 
-def test_a_watcher_can_choose_and_not_drag(browser: webdriver.Chrome, plain: Served) -> None:
+def test_a_watcher_can_choose_and_not_drag(browser, plain):
     visit(browser, plain, plain.tokens.watch)
     press(browser, "e")
     before = plain.scenario

@@ -39,7 +39,7 @@ def editor(studio: tuple[Served, luxloop.RunResult]) -> Iterator[Watcher]:
         yield watcher
 
 
-def test_a_studio_without_a_scenario_tells_what_there_is_to_choose_from(studio: tuple[Served, luxloop.RunResult]) -> None:
+def test_a_studio_without_a_scenario_tells_what_there_is_to_choose_from(studio):
     served, _ = studio
     with watching(served.port, served.tokens.watch) as watcher:
         found, _ = watcher.of("choices")
@@ -49,7 +49,7 @@ def test_a_studio_without_a_scenario_tells_what_there_is_to_choose_from(studio: 
         assert "nowhere" in watcher.until(lambda head: head["type"] == "status" and head["failed"])[0]["failed"]
 
 
-def test_rows_and_frames_of_a_recording_are_there_before_it_is_run_again(studio: tuple[Served, luxloop.RunResult], editor: Watcher) -> None:
+def test_rows_and_frames_of_a_recording_are_there_before_it_is_run_again(studio, editor):
     served, recorded = studio
     editor.say("open", recording="runs/one")
     scenario, _ = editor.of("scenario")
@@ -76,7 +76,7 @@ def test_rows_and_frames_of_a_recording_are_there_before_it_is_run_again(studio:
     )
 
 
-def test_an_edit_ends_the_repetition(studio: tuple[Served, luxloop.RunResult], editor: Watcher) -> None:
+def test_an_edit_ends_the_repetition(studio, editor):
     served, _ = studio
     editor.say("open", recording="runs/one")
     editor.of("scenario")
@@ -95,7 +95,7 @@ def test_an_edit_ends_the_repetition(studio: tuple[Served, luxloop.RunResult], e
     assert run.playback is None and run.simulation.symbol.params.position.kp == float(KP.partition("=")[2])  # type: ignore[union-attr]
 
 
-def test_edits_of_a_recording_are_repeated(studio: tuple[Served, luxloop.RunResult], editor: Watcher) -> None:
+def test_edits_of_a_recording_are_repeated(studio, editor):
     served, recorded = studio
     again = recorded.folder.parent / "edited"
     shutil.copytree(recorded.folder, again)
@@ -108,7 +108,7 @@ def test_edits_of_a_recording_are_repeated(studio: tuple[Served, luxloop.RunResu
     assert served.run.simulation.symbol.params.position.kp == 0.31
 
 
-def test_other_folders_are_not_opened(studio: tuple[Served, luxloop.RunResult], editor: Watcher) -> None:
+def test_other_folders_are_not_opened(studio, editor):
     number = studio[0].studio.session.state.number
     for folder in ("elsewhere", "runs/none", "runs/../elsewhere", "/tmp", ""):
         editor.say("open", recording=folder)

@@ -24,7 +24,7 @@ from luxloop.loop.studio.server import MOST_ASKED
 from luxloop.loop.studio.session import SessionState
 from luxloop.loop.studio.sources import refuse_foreign
 from luxloop.loop.studio.stream import Stream
-from tests.loop.studio.clients import Watcher, message, unpacked, watching
+from tests.loop.studio.clients import message, unpacked, watching
 from tests.loop.studio.conftest import SMALL, Served
 
 
@@ -37,14 +37,14 @@ def fetched(served: Served, path: str, **headers: str) -> tuple[int, bytes]:
         return error.code, error.read()
 
 
-def test_the_page_is_served_and_nothing_beside_it(served: Served) -> None:
+def test_the_page_is_served_and_nothing_beside_it(served):
     for host in (f"192.168.1.5:{served.port}", f"LOCALHOST:{served.port}", "[::1]", "127.0.0.1"):
         assert fetched(served, "/", Host=host) == (200, b"<!doctype html><title>studio</title>")
     for path in ("/secret.key", "/../conftest.py", "/%2e%2e/conftest.py", "/etc/passwd", "/none.js"):
         assert fetched(served, path)[0] == 404
 
 
-def test_other_hosts_and_origins_are_forbidden(served: Served) -> None:
+def test_other_hosts_and_origins_are_forbidden(served):
     for host in ("evil.example", "evil.example:80", "[::1"):
         assert fetched(served, "/", Host=host)[0] == 403
     for origin in ("http://evil.example", "null"):
@@ -54,7 +54,7 @@ def test_other_hosts_and_origins_are_forbidden(served: Served) -> None:
 
 
 @pytest.mark.parametrize("first", [message(type="hello", token="guess"), message(type="play"), b"\0", "hello"])
-def test_without_a_token_nothing_is_told(served: Served, first: bytes | str) -> None:
+def test_without_a_token_nothing_is_told(served, first):
     with connect(f"ws://127.0.0.1:{served.port}/socket") as socket:
         socket.send(first)
         with pytest.raises(ConnectionClosed) as closed:
@@ -62,7 +62,7 @@ def test_without_a_token_nothing_is_told(served: Served, first: bytes | str) -> 
         assert closed.value.rcvd is not None and closed.value.rcvd.code == 4401
 
 
-def test_a_client_gets_the_run_and_the_values_of_the_command_line(served: Served) -> None:
+def test_a_client_gets_the_run_and_the_values_of_the_command_line(served):
     with watching(served.port, served.tokens.edit) as watcher:
         head, _ = watcher.of("scenario")
         assert head["name"] == "snowflake" and head["steps"] == 6
@@ -83,7 +83,7 @@ def test_a_client_gets_the_run_and_the_values_of_the_command_line(served: Served
         assert np.array_equal(rows[:, names.index(name)], np.array([each[name] for each in expected], np.float32))
 
 
-def test_light_that_is_the_same_is_not_sent_again(served: Served, editor: Watcher) -> None:
+def test_light_that_is_the_same_is_not_sent_again(served, editor):
     editor.say("pause", ask=1)
     editor.of("done", ask=1)  # and so is all that was asked before
     published, feed = served.studio.session.state, Stream()
@@ -100,9 +100,7 @@ def test_light_that_is_the_same_is_not_sent_again(served: Served, editor: Watche
     assert again["type"] == "step" and again["light_windows"] == {}
 
 
-def test_messages_rest_while_the_session_plays_and_come_at_once_when_it_stops(
-    served: Served, editor: Watcher, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_messages_rest_while_the_session_plays_and_come_at_once_when_it_stops(served, editor, monkeypatch):
     editor.reset()
     monkeypatch.setattr("luxloop.loop.studio.stream.REST", 1e9)
     rested, playing = Stream(), replace(served.studio.session.state, playing=True)
@@ -125,7 +123,7 @@ def kinds(feed: Stream, published: SessionState, **request: Any) -> list[str]:
     return [unpacked(each)[0]["type"] for each in feed.messages(published, Request(**request))]
 
 
-def test_who_does_not_read_is_let_go(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_does_not_read_is_let_go(served, monkeypatch):
     monkeypatch.setattr("luxloop.loop.studio.server.DEAF_S", 0.5)
     with watching(served.port, served.tokens.edit) as watcher, socket.socket() as deaf:
         watcher.of("scenario")
@@ -144,7 +142,7 @@ def test_who_does_not_read_is_let_go(served: Served, monkeypatch: pytest.MonkeyP
         watcher.of("status", clients=1)
 
 
-def test_a_step_can_be_seen_again_is_not_overtaken_and_a_new_start_is_followed(editor: Watcher) -> None:
+def test_a_step_can_be_seen_again_is_not_overtaken_and_a_new_start_is_followed(editor):
     editor.reset()
     shown, _ = editor.of("step", step=0)
     editor.step(1, 2)
@@ -163,13 +161,13 @@ def test_a_step_can_be_seen_again_is_not_overtaken_and_a_new_start_is_followed(e
     editor.of("step", step=1, scrub=False)
 
 
-def test_values_that_are_no_files_may_have_dots() -> None:
+def test_values_that_are_no_files_may_have_dots():
     refuse_foreign(
         ['name="v1.2"', 'checks.c={metric="functions.symbol.iou", at_least=0.1}', "functions.symbol.image=chevrons", "road.kind=bumps"]
     )
 
 
-def test_watchers_cannot_write_and_one_holds_the_pen(served: Served) -> None:
+def test_watchers_cannot_write_and_one_holds_the_pen(served):
     with watching(served.port, served.tokens.edit) as editor, watching(served.port, served.tokens.watch) as watcher:
         assert editor.of("welcome")[0]["role"] == "edit" and watcher.of("welcome")[0]["role"] == "watch"
         watcher.of("scenario")
@@ -200,7 +198,7 @@ FOREIGN = {
 }
 
 
-def test_the_page_cannot_name_files_and_code(served: Served, editor: Watcher) -> None:
+def test_the_page_cannot_name_files_and_code(served, editor):
     before = served.studio.session.state.number
     for override, words in FOREIGN.items():
         for kind in ("set", "compare"):
@@ -212,7 +210,7 @@ def test_the_page_cannot_name_files_and_code(served: Served, editor: Watcher) ->
     assert served.studio.session.state.number == before
 
 
-def test_a_wrong_value_is_answered_as_on_the_command_line_and_changes_nothing(served: Served, editor: Watcher) -> None:
+def test_a_wrong_value_is_answered_as_on_the_command_line_and_changes_nothing(served, editor):
     before = served.studio.session.state.runs
     editor.say("set", overrides=["camera.bitz=8"])
     assert "camera.bitz: unknown key; did you mean 'bits'?" in editor.of("error", about="set")[0]["text"]
@@ -224,7 +222,7 @@ def test_a_wrong_value_is_answered_as_on_the_command_line_and_changes_nothing(se
     assert served.studio.session.state.runs == before
 
 
-def test_a_watcher_may_ask_for_the_schema_which_has_every_key_of_the_model(served: Served) -> None:
+def test_a_watcher_may_ask_for_the_schema_which_has_every_key_of_the_model(served):
     with watching(served.port, served.tokens.watch) as watcher:
         scenario, _ = watcher.of("scenario")
         watcher.say("schema")
@@ -235,7 +233,7 @@ def test_a_watcher_may_ask_for_the_schema_which_has_every_key_of_the_model(serve
 
 
 @pytest.mark.parametrize("count", [500, pytest.param(10_000, marks=pytest.mark.slow)])
-def test_damaged_messages_change_nothing_and_end_nothing(served: Served, count: int) -> None:
+def test_damaged_messages_change_nothing_and_end_nothing(served, count):
     rng = random.Random(0)
     picture = {name: np.full((20, 30), 7, np.uint8) for name in ("value", "painted")}
     good = [message(type="want", views=["scene"]), message(type="scrub", run=0, step=2), message(type="beam", rule="r149-passing-c")]
@@ -255,7 +253,7 @@ def test_damaged_messages_change_nothing_and_end_nothing(served: Served, count: 
         assert served.studio.session.state is before
 
 
-def test_a_client_that_does_not_read_does_not_slow_the_loop(served: Served, editor: Watcher) -> None:
+def test_a_client_that_does_not_read_does_not_slow_the_loop(served, editor):
     with connect(f"ws://127.0.0.1:{served.port}/socket", max_size=None, max_queue=1) as deaf:
         deaf.send(message(type="hello", token=served.tokens.watch))
         for _ in range(3):  # after the first the deaf client's messages are stuck
@@ -267,7 +265,7 @@ def test_a_client_that_does_not_read_does_not_slow_the_loop(served: Served, edit
             assert time.monotonic() - began_s < 60  # six steps take seconds; a loop that waits for who is deaf takes for ever
 
 
-def test_what_a_client_asks_waits_on_its_side_while_the_session_is_busy(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_client_asks_waits_on_its_side_while_the_session_is_busy(served, monkeypatch):
     session, goes_on = served.studio.session, threading.Event()
     with watching(served.port, served.tokens.watch) as watcher:
         watcher.of("scenario")

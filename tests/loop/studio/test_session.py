@@ -47,7 +47,7 @@ def kp(served: Served) -> float:
     return float(served.run.simulation.symbol.params.position.kp)  # type: ignore[union-attr]
 
 
-def test_an_edit_tells_the_model_and_what_the_page_must_know(served: Served, editor: Watcher) -> None:
+def test_an_edit_tells_the_model_and_what_the_page_must_know(served, editor):
     edit = editor.set("light.ambient_lx=2.5", f"{KP}=0.4")
     assert edit["model"]["light"]["ambient_lx"] == 2.5 and edit["facts"]["ambient_lx"] == 2.5
     assert edit["step"] == 1 and kp(served) == 0.4
@@ -56,7 +56,7 @@ def test_an_edit_tells_the_model_and_what_the_page_must_know(served: Served, edi
     assert run.simulation.world.scene.ambient_lx == 2.5 and len(run.rows) == 2
 
 
-def test_a_run_at_rest_shows_what_edits_make_of_the_next_step(served: Served, editor: Watcher) -> None:
+def test_a_run_at_rest_shows_what_edits_make_of_the_next_step(served, editor):
     run = served.run
     before, made = run.snapshots[0], len(run.rows)
     wall = 'objects=[{kind = "box", name = "wall", size_m = [0.5, 2, 1], track = [{position_m = [14, 3, 0]}]}]'
@@ -73,7 +73,7 @@ def test_a_run_at_rest_shows_what_edits_make_of_the_next_step(served: Served, ed
     assert all(u.equal(old) for u, old in zip(run.snapshots[0].lights, before.lights, strict=True))  # the step as it was
 
 
-def test_edits_are_taken_back_and_made_again(served: Served, editor: Watcher, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_edits_are_taken_back_and_made_again(served, editor, monkeypatch):
     monkeypatch.setattr("luxloop.loop.studio.session.TOGETHER_S", 0.0)
     first = kp(served)
     for value in (0.5, 0.6):
@@ -87,7 +87,7 @@ def test_edits_are_taken_back_and_made_again(served: Served, editor: Watcher, mo
     assert "nothing to redo" in editor.of("error", about="redo")[0]["text"]
 
 
-def test_edits_of_a_drag_are_one(served: Served, editor: Watcher, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_edits_of_a_drag_are_one(served, editor, monkeypatch):
     monkeypatch.setattr("luxloop.loop.studio.session.TOGETHER_S", 60.0)  # a busy machine takes longer than TOGETHER_S for some edits
     assert TOGETHER_S < 60
     before = served.scenario
@@ -98,7 +98,7 @@ def test_edits_of_a_drag_are_one(served: Served, editor: Watcher, monkeypatch: p
     assert served.scenario == before
 
 
-def test_what_is_saved_is_the_scenario_as_it_is_now(served: Served, editor: Watcher, tmp_path: Path) -> None:
+def test_what_is_saved_is_the_scenario_as_it_is_now(served, editor, tmp_path):
     editor.set(f"{KP}=0.45", "light.ambient_lx=0.4")
     editor.say("save")
     saved, _ = editor.of("saved")
@@ -107,7 +107,7 @@ def test_what_is_saved_is_the_scenario_as_it_is_now(served: Served, editor: Watc
     assert load(str(tmp_path / saved["name"])) == served.scenario
 
 
-def test_a_recording_has_all_steps_and_edits_and_is_repeated(editor: Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_has_all_steps_and_edits_and_is_repeated(editor, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     editor.step(1)
     editor.set(f"{KP}=0.33")
@@ -136,7 +136,7 @@ def test_a_recording_has_all_steps_and_edits_and_is_repeated(editor: Watcher, tm
     assert "folder" in editor.of("error")[0]["text"]
 
 
-def test_the_file_is_an_editor_as_well(served: Served, editor: Watcher, file: Path) -> None:
+def test_the_file_is_an_editor_as_well(served, editor, file):
     editor.set("light.ambient_lx=0.7")
     text = file.read_text()
     file.write_text(text.replace("description = ", "x = ", 1))
@@ -152,7 +152,7 @@ def test_the_file_is_an_editor_as_well(served: Served, editor: Watcher, file: Pa
     assert not served.scenario.light.street_lamps
 
 
-def test_a_step_that_is_over_takes_little_memory_beside_its_light(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_step_that_is_over_takes_little_memory_beside_its_light(file, monkeypatch):
     monkeypatch.setattr("luxloop.loop.recording.recorder.FOLDED", 5)
     (run,) = start([(Source(str(file)), None)], (), frozenset(), print, anew=True)
     while not run.over:
@@ -166,7 +166,7 @@ def test_a_step_that_is_over_takes_little_memory_beside_its_light(file: Path, mo
     assert run.snapshots[3].head["step"] == 3 and run.tally.table()["step"].to_pylist() == list(range(30))
 
 
-def test_a_comparison_begins_with_all_edits(served: Served, editor: Watcher) -> None:
+def test_a_comparison_begins_with_all_edits(served, editor):
     def holds(ambient_lx: float, *gains: float) -> bool:
         runs = [run.simulation.scenario for run in served.studio.session.state.runs]
         return [(each.light.ambient_lx, each.symbol.controller.position.kp) for each in runs] == [(ambient_lx, gain) for gain in gains]
@@ -186,7 +186,7 @@ def test_a_comparison_begins_with_all_edits(served: Served, editor: Watcher) -> 
     assert holds(0.9, first)
 
 
-def test_edits_that_set_the_same_values_anew_before_a_step_are_kept_once(served: Served, editor: Watcher) -> None:
+def test_edits_that_set_the_same_values_anew_before_a_step_are_kept_once(served, editor):
     for override in (f"{KP}=0.3", f"{KP}=0.35", "light.ambient_lx=0.6", f"{KP}=0.4"):
         editor.set(override)
     assert [each.overrides for each in served.run.tally.edits] == [(f"{KP}=0.35",), ("light.ambient_lx=0.6",), (f"{KP}=0.4",)]

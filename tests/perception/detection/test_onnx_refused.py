@@ -117,14 +117,14 @@ def export(module: nn.Module, inputs: tuple[Tensor, ...], file: Path, **options:
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_is_read_wrongly_is_refused_when_it_is_loaded(case: str, tmp_path: Path) -> None:
+def test_what_is_read_wrongly_is_refused_when_it_is_loaded(case, tmp_path):
     module, message, inputs, params = REFUSED[case]
     file = export(module, inputs, tmp_path / "network.onnx")
     with refusal(r"^detector\." + message):
         opened(file, **params)
 
 
-def test_batches_and_sizes_left_open_and_half_precision_are_taken(tmp_path: Path) -> None:
+def test_batches_and_sizes_left_open_and_half_precision_are_taken(tmp_path):
     auto = torch.export.Dim.AUTO
     shapes = ({0: auto, 2: auto, 3: auto},)
     left_open = export(Tiny(84), (torch.zeros(2, 3, 64, 96),), tmp_path / "open.onnx", dynamic_shapes=shapes)
@@ -133,7 +133,7 @@ def test_batches_and_sizes_left_open_and_half_precision_are_taken(tmp_path: Path
         assert opened(file, input_px=size).detect(torch.rand(1, 48, 64))[0].scores.shape[1] == 6
 
 
-def test_scores_that_leave_their_range_in_a_later_frame_are_refused(tmp_path: Path) -> None:
+def test_scores_that_leave_their_range_in_a_later_frame_are_refused(tmp_path):
     """Logits of a network that says no to what it was loaded with."""
 
     class Late(nn.Module):
@@ -154,7 +154,7 @@ def written(nodes: list[onnx.NodeProto], tensors: list[TensorProto], file: Path)
     return str(file)
 
 
-def test_sizes_that_are_only_declared_fill_no_memory(tmp_path: Path) -> None:
+def test_sizes_that_are_only_declared_fill_no_memory(tmp_path):
     """OpenCV crashes at weights that are not there, and takes 40 GB for numbers that a layer makes of nothing."""
     weights = TensorProto(name="w", data_type=TensorProto.FLOAT, dims=(30_000, 30_000), raw_data=b"0000")
     add = helper.make_node("Add", ["x", "w"], ["y"])
@@ -179,12 +179,12 @@ INTEGERS = [helper.make_node("Cast", ["x"], ["i"], to=TensorProto.INT32), helper
         ([INTEGERS[0], helper.make_node("Mod", ["i", "w"], ["j"]), INTEGERS[1]], [ZERO], "Mod divides by 0 or less .a constant"),
     ],
 )
-def test_divisions_by_zero_which_would_end_the_process_are_refused(nodes: Any, tensors: Any, words: str, tmp_path: Path) -> None:
+def test_divisions_by_zero_which_would_end_the_process_are_refused(nodes, tensors, words, tmp_path):
     with refusal(rf"^detector\.file: .*{words}"):
         opened(written(nodes, tensors, tmp_path / "a.onnx"))
 
 
-def test_functions_and_unknown_types_are_refused(tmp_path: Path) -> None:
+def test_functions_and_unknown_types_are_refused(tmp_path):
     """Functions that call the one before twice take onnx 2^k checks."""
     file = tmp_path / "a.onnx"
     model = onnx.load(written([helper.make_node("Identity", ["x"], ["y"])], [], file))

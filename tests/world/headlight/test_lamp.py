@@ -18,7 +18,7 @@ def headlight() -> Headlight:
     return idealised(5, 9, texels_per_pixel=(4, 4))
 
 
-def test_bending_to_the_left_moves_the_light_to_the_left_and_levelling_moves_it_down(headlight: Headlight) -> None:
+def test_bending_to_the_left_moves_the_light_to_the_left_and_levelling_moves_it_down(headlight):
     module = Module("main", headlight, swivel_deg=(-5, 5), level_deg=(-2, 2))
     u = torch.zeros(headlight.n_pixels)
     u[2 * 9 + 4] = 1.0
@@ -35,12 +35,12 @@ def test_bending_to_the_left_moves_the_light_to_the_left_and_levelling_moves_it_
     assert (h1 - h0, v1 - v0) == pytest.approx((-3, -1), abs=0.02)
 
 
-def test_a_movement_out_of_range_names_the_module(headlight: Headlight) -> None:
+def test_a_movement_out_of_range_names_the_module(headlight):
     with refusal(r"'main'.*level.*0 to 2"):
         Module("main", headlight, level_deg=(0, 2)).pose(level_deg=3.0)
 
 
-def test_modules_add_up_and_the_mirrored_one_lights_the_other_side(headlight: Headlight) -> None:
+def test_modules_add_up_and_the_mirrored_one_lights_the_other_side(headlight):
     aside = Module("aside", headlight, pose_from_degrees((0, 0.1, 0), yaw_deg=8), swivel_deg=(-1, 4))
     other = aside.mirror()
     assert other.swivel_deg == (-4, 1)
@@ -54,7 +54,7 @@ def test_modules_add_up_and_the_mirrored_one_lights_the_other_side(headlight: He
     torch.testing.assert_close(light, alone + alone.flip(1), rtol=1e-6, atol=1e-3)
 
 
-def test_grids_from_degrees_refuse_what_is_no_plane() -> None:
+def test_grids_from_degrees_refuse_what_is_no_plane():
     grid = TexelGrid.from_degrees(2, 4, 20, -10, -5, 5)
     assert (grid.left, grid.right, grid.top) == pytest.approx(tuple(math.tan(math.radians(a)) for a in (20, -10, 5)))
     with refusal("80 deg"):
@@ -63,7 +63,7 @@ def test_grids_from_degrees_refuse_what_is_no_plane() -> None:
         TexelGrid.from_degrees(2, 4, -20, 20, -5, 5)
 
 
-def test_the_field_is_that_of_all_modules_as_they_are_mounted(headlight: Headlight) -> None:
+def test_the_field_is_that_of_all_modules_as_they_are_mounted(headlight):
     assert Lamp("one", (Module("main", headlight),)).field_deg == pytest.approx((10, -10, -3.5, 1.5), abs=1e-9)
     turned = Module("aside", headlight, pose_from_degrees((0, 0, 0), yaw_deg=20, pitch_deg=1))
     left, right, bottom, top = Lamp("two", (Module("main", headlight), turned)).field_deg
@@ -71,7 +71,7 @@ def test_the_field_is_that_of_all_modules_as_they_are_mounted(headlight: Headlig
     assert (left, right, bottom, top) == pytest.approx((30, -10, -4.5, 1.5), abs=0.1)
 
 
-def test_a_turned_lamp_has_what_can_be_turned_where_its_pose_says(headlight: Headlight) -> None:
+def test_a_turned_lamp_has_what_can_be_turned_where_its_pose_says(headlight):
     mount = pose_from_degrees((0.0, 0.1, 0.0), pitch_deg=0.5)
     fixed, free = Module("fixed", headlight, mount), Module("free", headlight, mount, swivel_deg=(-5, 5))
     one, other = Lamp("lamp", (fixed, free)).turn(4.0, 1.0).modules

@@ -15,7 +15,7 @@ def tan(degrees: float) -> float:
     return math.tan(math.radians(degrees))
 
 
-def test_pixels_are_row_major_from_the_top_left() -> None:
+def test_pixels_are_row_major_from_the_top_left():
     lamp = idealised(3, 4)
     light = lamp.light_texture(torch.eye(12))
     y, z = lamp.tangents(torch.float32, torch.device("cpu"))
@@ -29,7 +29,7 @@ def test_pixels_are_row_major_from_the_top_left() -> None:
         assert pixel_z[j].item() == pytest.approx(lamp.top - (row + 0.5) * pitch_z, abs=0.05 * pitch_z)
 
 
-def test_texel_centres_lie_half_a_texel_inside(device: torch.device) -> None:
+def test_texel_centres_lie_half_a_texel_inside(device):
     lamp = idealised(2, 3, texels_per_pixel=(2, 1), half_width_deg=15, top_deg=1.5, bottom_deg=-3.5)
     y, z = lamp.tangents(torch.float64, device)
     expected_y = [tan(15) + (c + 0.5) / 3 * (tan(-15) - tan(15)) for c in range(3)]
@@ -40,7 +40,7 @@ def test_texel_centres_lie_half_a_texel_inside(device: torch.device) -> None:
     assert (row.item(), col.item()) == (pytest.approx(3.5), pytest.approx(1.5))
 
 
-def test_mirroring_twice_gives_the_module_back_and_once_swaps_left_and_right() -> None:
+def test_mirroring_twice_gives_the_module_back_and_once_swaps_left_and_right():
     lamp = replace(idealised(3, 5, texels_per_pixel=(2, 3)), left=tan(12), chroma=None)
     lamp = replace(lamp, chroma=torch.rand(3, len(lamp.matrix.values)))
     mirrored = lamp.mirror()
@@ -53,7 +53,7 @@ def test_mirroring_twice_gives_the_module_back_and_once_swaps_left_and_right() -
     assert twice.matrix.values.equal(lamp.matrix.values) and twice.matrix.indices.equal(lamp.matrix.indices)
 
 
-def test_intensity_meets_texel_centres_and_is_dark_outside_and_behind() -> None:
+def test_intensity_meets_texel_centres_and_is_dark_outside_and_behind():
     lamp = idealised(4, 6, texels_per_pixel=(2, 2))
     texture = lamp.light_texture(torch.rand(lamp.n_pixels)).double()
     y, z = lamp.tangents(torch.float64, texture.device)
@@ -65,7 +65,7 @@ def test_intensity_meets_texel_centres_and_is_dark_outside_and_behind() -> None:
 
 
 @pytest.mark.parametrize(("row", "col"), [(0, 0), (3, 6), (2, 4)])
-def test_a_pixel_lights_the_rows_and_columns_that_are_said(row: int, col: int) -> None:
+def test_a_pixel_lights_the_rows_and_columns_that_are_said(row, col):
     lamp = idealised(4, 7, texels_per_pixel=(4, 2), intensity_cd=1e4)
     u = torch.zeros(4, 7)
     u[row, col] = 1

@@ -54,7 +54,7 @@ def dense_reference(row: np.ndarray, keep: int, method: Method, cases: np.ndarra
 @each_method
 @settings(max_examples=40)
 @given(matrix=matrices, keep=st.integers(1, 6))
-def test_agrees_with_a_dense_reference(method: Method, matrix: Csr, keep: int) -> None:
+def test_agrees_with_a_dense_reference(method, matrix, keep):
     cases = np.array(standard_use_cases(1, matrix.n_cols))
     reduced = reduce(matrix, keep, method, cases).to_scipy().toarray()
     expected = np.array([dense_reference(row, keep, method, cases) for row in matrix.to_scipy().toarray()])
@@ -72,6 +72,6 @@ def test_agrees_with_a_dense_reference(method: Method, matrix: Csr, keep: int) -
         ({"keep": 1, "method": "least_squares", "use_cases": [np.ones(3)]}, "of 9 pixels each, not (1, 3)"),
     ],
 )
-def test_nonsense_is_refused(arguments: dict, words: str) -> None:
+def test_nonsense_is_refused(arguments, words):
     with sentence(words):
         reduce(gaussian_lamp(), **arguments)

@@ -44,7 +44,7 @@ def angle_borders(grid: TexelGrid) -> tuple[np.ndarray, np.ndarray]:
     return np.degrees(np.arctan(rows)), np.degrees(np.arctan(cols))
 
 
-def test_a_texel_holds_the_mean_of_the_blurred_rectangle_over_its_width() -> None:
+def test_a_texel_holds_the_mean_of_the_blurred_rectangle_over_its_width():
     light = dense(BlurredRectangles(**RECTANGLES, widening=0.5, overlap=0.3, cut=0.0))
     rows, cols = angle_borders(GRID)
     heights = np.linspace(3, -2, 5)
@@ -71,7 +71,7 @@ def test_a_texel_holds_the_mean_of_the_blurred_rectangle_over_its_width() -> Non
     spacing=st.sampled_from(["angle", "tangent"]),
     rows=st.integers(20, 90),
 )
-def test_light_is_kept_on_any_texture(blur: float, overlap: float, widening: float, spacing: str, rows: int) -> None:
+def test_light_is_kept_on_any_texture(blur, overlap, widening, spacing, rows):
     values = RECTANGLES | {"blur_deg": blur, "overlap": overlap, "widening": widening, "spacing": spacing, "cut": 0.0}
     model = BlurredRectangles(**values)
 
@@ -101,13 +101,13 @@ def test_light_is_kept_on_any_texture(blur: float, overlap: float, widening: flo
         (GaussianPixels, {"right_deg": 9.0}, "left_deg = 8 must exceed right_deg = 9"),
     ],
 )
-def test_what_does_not_fit_is_said_in_a_sentence(model: type, values: dict[str, object], said: str) -> None:
+def test_what_does_not_fit_is_said_in_a_sentence(model, values, said):
     base = RECTANGLES if model is BlurredRectangles else GAUSSIANS
     with pytest.raises(ValidationError, match=said):
         model(**base | values)
 
 
-def test_a_texel_holds_the_mean_of_the_gaussian_over_its_width() -> None:
+def test_a_texel_holds_the_mean_of_the_gaussian_over_its_width():
     light = dense(GaussianPixels(**GAUSSIANS, cut=0.0))
     rows, cols = angle_borders(GRID)
     pitch = 14 / 5

@@ -52,14 +52,14 @@ def write_folder(folder: Path, name: Callable[[int], str]) -> None:
         lm63.write(folder / name(j), Distribution("A", V, H, each.T))
 
 
-def test_folder_in_natural_order(tmp_path: Path) -> None:
+def test_folder_in_natural_order(tmp_path):
     write_folder(tmp_path / "p", lambda j: f"Pixel{j + 7}.IES")
     (tmp_path / "p" / "readme.txt").write_text("not photometry")
     check(FolderSource(path=tmp_path / "p", rows=ROWS, columns=COLUMNS).pixels())
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_folder_by_pattern(tmp_path: Path, first: int) -> None:
+def test_folder_by_pattern(tmp_path, first):
     write_folder(tmp_path / "p", lambda j: f"c{j % COLUMNS + first:03}_r{j // COLUMNS + first:02}.ies")
     check(FolderSource(path=tmp_path / "p", rows=ROWS, columns=COLUMNS, pattern="c{column}_r{row}.ies").pixels())
 
@@ -82,7 +82,7 @@ def copied(name: str) -> Callable[[Path], object]:
         (lambda folder: (folder / "r01_c01.ies").write_text(PLAIN[:-9]), "r01_c01.ies, line", "r01_c01.ies, line"),
     ],
 )
-def test_what_is_wrong_in_a_folder_is_named(tmp_path: Path, change: Callable[[Path], object], with_pattern: str, without: str) -> None:
+def test_what_is_wrong_in_a_folder_is_named(tmp_path, change, with_pattern, without):
     write_folder(tmp_path / "p", lambda j: f"r{j // COLUMNS:02}_c{j % COLUMNS:02}.ies")
     change(tmp_path / "p")
     for pattern, words in (("r{row}_c{column}.ies", with_pattern), (None, without)):
@@ -92,7 +92,7 @@ def test_what_is_wrong_in_a_folder_is_named(tmp_path: Path, change: Callable[[Pa
         FolderSource(path=tmp_path / "q", rows=1, columns=1).pixels()
 
 
-def test_patterns_and_pitches_that_cannot_work_are_refused(tmp_path: Path) -> None:
+def test_patterns_and_pitches_that_cannot_work_are_refused(tmp_path):
     with pytest.raises(ValidationError, match=r"needs \{row\} and \{column\} once each"):
         FolderSource(path=tmp_path, rows=1, columns=1, pattern="p{row}.ies")
     with pytest.raises(ValidationError, match="need the angle between neighbours"):
@@ -109,14 +109,14 @@ def test_patterns_and_pitches_that_cannot_work_are_refused(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("four", [False, True])
-def test_npz(tmp_path: Path, four: bool) -> None:
+def test_npz(tmp_path, four):
     tensor = candela().astype(np.float32)
     path = tmp_path / "t.npz"
     np.savez(path, candela=tensor.reshape(ROWS, COLUMNS, *tensor.shape[1:]) if four else tensor, horizontal_deg=H, vertical_deg=V)
     check(TableSource(path=path, columns=None if four else COLUMNS).pixels())
 
 
-def test_npz_colours(tmp_path: Path) -> None:
+def test_npz_colours(tmp_path):
     tensor = candela()
     rgb = np.ones((*tensor.shape, 3)) * [4.0, 2.0, 0.0]
     np.savez(tmp_path / "t.npz", candela=tensor, horizontal_deg=H, vertical_deg=V, rgb=rgb)
@@ -125,7 +125,7 @@ def test_npz_colours(tmp_path: Path) -> None:
     np.testing.assert_allclose(chroma, np.broadcast_to(share[:, None], chroma.shape), rtol=1e-9, atol=1e-12)
 
 
-def test_a_table_whose_angles_begin_at_zero_is_not_mirrored(tmp_path: Path) -> None:
+def test_a_table_whose_angles_begin_at_zero_is_not_mirrored(tmp_path):
     np.savez(tmp_path / "t.npz", candela=np.full((1, 3, 3), 9.0), horizontal_deg=[0.0, 1, 2], vertical_deg=[0.0, 1, 2])
     grid = TexelGrid.from_degrees(20, 20, 2, -2, -2, 2)
     light = assemble(TableSource(path=tmp_path / "t.npz", rows=1, columns=1).pixels(), grid).matrix.toarray().reshape(20, 20)
@@ -147,7 +147,7 @@ candela_of = candela()
 
 
 @pytest.mark.parametrize(("first", "by_place", "dark", "german"), [(0, False, True, False), (1, True, False, True)])
-def test_csv(tmp_path: Path, first: int, by_place: bool, dark: bool, german: bool) -> None:
+def test_csv(tmp_path, first, by_place, dark, german):
     head = ["row", "column"] if by_place else ["pixel"]
     rows = [[*head, "horizontal_deg", "vertical_deg", "candela"], *csv_lines(first, by_place, dark)]
     text = "\n".join(",".join(str(each) for each in row) for row in rows)
@@ -198,13 +198,13 @@ HEAD = "pixel,horizontal_deg,vertical_deg,candela\n"
         (csv(HEAD + "0,0,0,1\n0,1,1,1\n0,0,1,1\n3,1,1,1\n"), "pixel 0, 1, counted from 0, has no lines"),
     ],
 )
-def test_what_is_wrong_in_a_table_is_named(tmp_path: Path, write: Callable[[Path], Path], words: str) -> None:
+def test_what_is_wrong_in_a_table_is_named(tmp_path, write, words):
     path = write(tmp_path)
     with sentence(words, path.name):
         TableSource(path=path, rows=2).pixels()
 
 
-def test_a_missing_table_is_named(tmp_path: Path) -> None:
+def test_a_missing_table_is_named(tmp_path):
     for name in ("gone.npz", "gone.csv"):
         with refusal(f"{name}: cannot be read"):
             TableSource(path=tmp_path / name, rows=1).pixels()

@@ -3,7 +3,6 @@
 import math
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,7 +44,7 @@ def alone(distribution: Distribution, aim: Aim = "beam") -> PixelArray:
     return PixelArray([Pixel(distribution)], 1, 1, aim)
 
 
-def test_faint_light_is_dropped_and_told() -> None:
+def test_faint_light_is_dropped_and_told():
     all_of_it, cut = (assemble(alone(gaussian()), GRID, cutoff) for cutoff in (0, 0.1))
     assert all_of_it.dropped == 0
     assert cut.matrix.data.min() > 0.1 * cut.matrix.data.max()
@@ -54,7 +53,7 @@ def test_faint_light_is_dropped_and_told() -> None:
     assert cut.dropped == pytest.approx(0.1, abs=0.02)
 
 
-def test_a_grid_of_turned_pixels_is_exact_in_angles(tmp_path: Path) -> None:
+def test_a_grid_of_turned_pixels_is_exact_in_angles(tmp_path):
     lm63.write(tmp_path / "pixel.ies", gaussian())
     array = FileSource(path=tmp_path / "pixel.ies", rows=3, columns=5, pitch_deg=8, aspect=2).pixels()
     grid = TexelGrid.from_degrees(180, 420, 21, -21, -9, 9)
@@ -71,7 +70,7 @@ def test_a_grid_of_turned_pixels_is_exact_in_angles(tmp_path: Path) -> None:
             assert light.sum() == pytest.approx(gaussian().luminous_flux, rel=5e-3)
 
 
-def test_default_texture_holds_all_light_and_is_finer_than_the_data() -> None:
+def test_default_texture_holds_all_light_and_is_finer_than_the_data():
     array = PixelArray([Pixel(gaussian(h, angles=np.linspace(-6, 6, 121))) for h in (-2.0, 3.0)], 1, 2)
     grid = default_grid(array)
     made = assemble(array, grid)
@@ -81,7 +80,7 @@ def test_default_texture_holds_all_light_and_is_finer_than_the_data() -> None:
     assert made.matrix.toarray().reshape(grid.rows, grid.cols, 2)[:, [0, -1]].max() < 0.01 * 1000
 
 
-def test_colour_has_luminance_one_and_follows_the_channels() -> None:
+def test_colour_has_luminance_one_and_follows_the_channels():
     red, blue = gaussian(-0.2), gaussian(0.2)
     luminance = replace(red, candela=0.2126 * red.candela + 0.0722 * blue.candela)
     none = replace(red, candela=0 * red.candela)
@@ -92,7 +91,7 @@ def test_colour_has_luminance_one_and_follows_the_channels() -> None:
     np.testing.assert_allclose(made.chroma[0] * texels[lit], light_texture(red, GRID).ravel()[lit], atol=0.1)  # as above
 
 
-def test_a_measurement_tells_what_it_cuts_off() -> None:
+def test_a_measurement_tells_what_it_cuts_off():
     h, v = np.meshgrid(ANGLES, ANGLES, indexing="ij")
     cone = np.clip(4 - np.hypot(h, v), 0, None)
     assert border_share(Distribution("A", ANGLES, ANGLES, cone)) == pytest.approx(0.25)
@@ -105,7 +104,7 @@ def test_a_measurement_tells_what_it_cuts_off() -> None:
     assert border_share(Distribution("A", ANGLES, ANGLES, 0 * cone)) == 0
 
 
-def test_a_matrix_beyond_all_memory_is_refused_before_the_work_with_values_that_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_matrix_beyond_all_memory_is_refused_before_the_work_with_values_that_do(monkeypatch):
     monkeypatch.setattr(pixels, "BUDGET_BYTES", 64 * 175_000)
     monkeypatch.setattr(files, "BUDGET_BYTES", 64 * 175_000)
     array, seen = PixelArray([Pixel(gaussian())] * 100, 10, 10), []

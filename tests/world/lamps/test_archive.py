@@ -5,7 +5,6 @@ import json
 import zipfile
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -60,7 +59,7 @@ def content(lamp: Lamp, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return path.read_bytes()
 
 
-def test_round_trip_is_exact(lamp: Lamp, tmp_path: Path) -> None:
+def test_round_trip_is_exact(lamp, tmp_path):
     light = lamp.modules[0].headlight
     save(tmp_path / "lamp.npz", lamp)
     loaded = load(tmp_path / "lamp.npz")
@@ -69,7 +68,7 @@ def test_round_trip_is_exact(lamp: Lamp, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["lamp.npz"]
 
 
-def test_numpy_alone_reads_it(content: bytes) -> None:
+def test_numpy_alone_reads_it(content):
     with np.load(io.BytesIO(content)) as arrays:
         header = json.loads(arrays["header"].tobytes())
         assert arrays["module0_indices"].dtype == np.int32
@@ -78,7 +77,7 @@ def test_numpy_alone_reads_it(content: bytes) -> None:
 
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(drawn=st.data())
-def test_damage_is_noticed(lamp: Lamp, content: bytes, tmp_path: Path, drawn: st.DataObject) -> None:
+def test_damage_is_noticed(lamp, content, tmp_path, drawn):
     """A broken copy is refused, or (a flipped bit of a date, say) gives the same lamp."""
     path = tmp_path / "broken.npz"
     if drawn.draw(st.booleans()):
@@ -130,13 +129,13 @@ def rewritten(content: bytes, change: Callable[[dict[str, Any]], None]) -> bytes
         (lambda a: a["header"]["modules"][0].update(rows=10**9, cols=10**9), "module 'matrix' would take"),
     ],
 )
-def test_what_does_not_fit_together_is_refused(content: bytes, tmp_path: Path, change: Callable[[dict], None], words: str) -> None:
+def test_what_does_not_fit_together_is_refused(content, tmp_path, change, words):
     (tmp_path / "odd.npz").write_bytes(rewritten(content, change))
     with sentence(words, "odd.npz"):
         load(tmp_path / "odd.npz")
 
 
-def test_foreign_files_are_refused(tmp_path: Path) -> None:
+def test_foreign_files_are_refused(tmp_path):
     np.savez(tmp_path / "foreign.npz", a=np.ones(3))
     (tmp_path / "text.npz").write_text("IESNA:LM-63-2002")
     np.savez(tmp_path / "pickle.npz", header=np.array([{"a": 1}], dtype=object))
@@ -153,7 +152,7 @@ def test_foreign_files_are_refused(tmp_path: Path) -> None:
             load(tmp_path / f"{name}.npz")
 
 
-def test_writing_names_what_is_wrong_and_leaves_nothing_behind(lamp: Lamp, tmp_path: Path) -> None:
+def test_writing_names_what_is_wrong_and_leaves_nothing_behind(lamp, tmp_path):
     with refusal(r"ends in \.npz"):
         save(tmp_path / "lamp.toml", lamp)
     with refusal("cannot be written"):

@@ -28,7 +28,7 @@ def at(values: Pattern, h: float, v: float) -> float:
 # What is wanted
 
 
-def test_the_low_beam_falls_off_fastest_on_its_cut_off_and_the_cut_off_rises_at_15_degrees() -> None:
+def test_the_low_beam_falls_off_fastest_on_its_cut_off_and_the_cut_off_rises_at_15_degrees():
     v = torch.linspace(-3, 3, 6001)
     for h, edge in ((-8.0, -0.57), (-2.5, -0.57), (2.0, -0.57 + 2 * DEG15), (10.0, -0.57 + 4 * DEG15)):
         log = pattern("low").intensity(torch.full_like(v, h), v).log10()
@@ -38,7 +38,7 @@ def test_the_low_beam_falls_off_fastest_on_its_cut_off_and_the_cut_off_rises_at_
         assert float(slope.max()) == pytest.approx(2.8, rel=0.1)
 
 
-def test_the_beams_differ_as_they_should() -> None:
+def test_the_beams_differ_as_they_should():
     low, high, town, motorway, adverse = (PATTERNS[name] for name in ("low", "high", "town", "motorway", "adverse"))
     assert at(high, 0, 0) > 60_000 and at(low, 0, 0) < 625
     assert at(low, 3, -0.1) > 20 * at(low, -3, -0.1)  # the kerb, not the oncoming car
@@ -51,13 +51,13 @@ def test_the_beams_differ_as_they_should() -> None:
 
 
 @pytest.mark.parametrize(("beam", "rule"), [(beam, rule) for beam, values in PATTERNS.items() for rule in values.rules])
-def test_the_hd_lamp_keeps_the_rules(beam: str, rule: str, ssl_hd: Lamp) -> None:
+def test_the_hd_lamp_keeps_the_rules(beam, rule, ssl_hd):
     results = check_beam(lambda d: ssl_hd.intensity(ssl_hd.beams[beam], d), rule)
     assert passes(results), [each for each in results if each.verdict == "fail"]
 
 
 @pytest.mark.parametrize("beam", PATTERNS)
-def test_the_light_is_even(beam: str, ssl_hd: Lamp) -> None:
+def test_the_light_is_even(beam, ssl_hd):
     v, h = torch.meshgrid(torch.arange(-4.0, -1.5, 0.03), torch.arange(-8.0, 8.0, 0.03), indexing="ij")
     light = ssl_hd.intensity(ssl_hd.beams[beam], direction(h.flatten(), v.flatten())).view(h.shape)
     error = light / PATTERNS[beam].intensity(h, v) - 1
@@ -66,7 +66,7 @@ def test_the_light_is_even(beam: str, ssl_hd: Lamp) -> None:
     assert float(error.square().mean().sqrt()) < 0.015
 
 
-def test_left_hand_traffic_gets_the_mirror_image() -> None:
+def test_left_hand_traffic_gets_the_mirror_image():
     hd84, other = lamp("hd84"), lamp("hd84", "right")
     left = fit(hd84, pattern("low"), "left")
     right = fit(other, pattern("low"))
@@ -77,7 +77,7 @@ def test_left_hand_traffic_gets_the_mirror_image() -> None:
     torch.testing.assert_close(ours, theirs, rtol=0.02, atol=50)
 
 
-def test_limits_win_over_the_pattern_where_the_lamp_can_keep_them() -> None:
+def test_limits_win_over_the_pattern_where_the_lamp_can_keep_them():
     lores = lamp("ssl-hd-lores")
     glaring = pattern("low").model_copy(update={"above_cd": 700.0})
     loose = fit(lores, glaring.model_copy(update={"rules": ()}))
@@ -90,13 +90,13 @@ def test_limits_win_over_the_pattern_where_the_lamp_can_keep_them() -> None:
 GRID = TexelGrid.from_degrees(100, 400, 20, -20, -5, 5)
 
 
-def test_there_are_1215_and_45_of_them() -> None:
+def test_there_are_1215_and_45_of_them():
     assert len(set(RECTANGLES)) == 9 * 5 * 3 * 3 * 3 == 1215
     assert len(set(QUICK)) == 45
     assert set(QUICK) <= set(RECTANGLES)
 
 
-def test_texture() -> None:
+def test_texture():
     texture = Rectangle(5, -1, 6, 2).texture(GRID, 7.0)
     assert texture.unique().tolist() == [0.0, 7.0]
     row, col = GRID.texel_of(*(torch.tensor([value]).deg2rad().tan() for value in (5.0, -1.0)))
@@ -109,7 +109,7 @@ def test_texture() -> None:
         pattern("hihg")
 
 
-def test_turning() -> None:
+def test_turning():
     upright, lying = (Rectangle(0, 0, 1, 3, turn).texture(GRID) for turn in (0, 90))
     assert (lying > 0).any(0).sum() > 2.5 * (upright > 0).any(0).sum()
     h, v = torch.tensor([1.0, -1.0]), torch.tensor([0.55, 0.55])

@@ -34,7 +34,7 @@ OVERLAPPING = {
         (RECTANGLES, {"texture": {"columns": 3}}, "at least 4, better 16"),
     ],
 )
-def test_what_cannot_be_a_module_is_refused(tmp_path: Path, source: dict[str, Any], more: dict[str, Any], words: str) -> None:
+def test_what_cannot_be_a_module_is_refused(tmp_path, source, more, words):
     with sentence(words):
         build_module(ModuleParams.model_validate({"name": "m", "source": source, **more}), tmp_path, lambda *_: [])
 
@@ -43,7 +43,7 @@ def build_source(folder: Path, **source: Any) -> None:
     build_module(ModuleParams.model_validate({"name": "m", "source": source, "texture": {"rows": 8, "columns": 8}}), folder, lambda *_: [])
 
 
-def test_light_that_the_measurement_cuts_off_is_told(tmp_path: Path) -> None:
+def test_light_that_the_measurement_cuts_off_is_told(tmp_path):
     angles = np.linspace(-2.0, 2.0, 9)
     cone = np.clip(2.25 - np.hypot(*np.meshgrid(angles, angles)), 0, None)
     for column, light in enumerate((cone, cone + 0.25 * (cone > 0), 0 * cone + cone * (cone > 0.5))):
@@ -55,7 +55,7 @@ def test_light_that_the_measurement_cuts_off_is_told(tmp_path: Path) -> None:
         build_source(tmp_path, kind="folder", path=".", rows=1, columns=3)
 
 
-def test_a_luminaire_as_a_lamp_is_told_unless_its_aim_is_given(tmp_path: Path) -> None:
+def test_a_luminaire_as_a_lamp_is_told_unless_its_aim_is_given(tmp_path):
     spot = Distribution("C", np.array([0.0, 5, 10, 90]), np.array([0.0]), np.array([[900.0, 500, 0, 0]]))
     write(tmp_path / "spot.ies", spot)
     with pytest.warns(UserWarning, match="nadir was taken as the beam axis"):
@@ -100,13 +100,13 @@ def npz(array: np.ndarray) -> bytes:
         ("a.csv", b"\xff\xfe0\x00", "holds no utilisations"),
     ],
 )
-def test_what_is_no_utilisation_is_named(tmp_path: Path, name: str, content: bytes, words: str) -> None:
+def test_what_is_no_utilisation_is_named(tmp_path, name, content, words):
     (tmp_path / name).write_bytes(content)
     with sentence(words, name):
         read_utilisation(tmp_path / name, 2, 4)
 
 
 @pytest.mark.parametrize("text", ["0,0.5\n1,0\n", "0;0,5\n1;0\n", "\ufeff0;0,5\n\n1;0\n"])
-def test_a_table_with_either_decimal_mark(tmp_path: Path, text: str) -> None:
+def test_a_table_with_either_decimal_mark(tmp_path, text):
     (tmp_path / "a.csv").write_text(text, "utf-8")
     assert read_utilisation(tmp_path / "a.csv", 2, 2).tolist() == [0, 0.5, 1, 0]

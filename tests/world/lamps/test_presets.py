@@ -26,7 +26,7 @@ def seen(lamp: Lamp, h_deg: Tensor, v_deg: Tensor) -> Tensor:
         ("dmd-1m3", [(1152, 1152)]),
     ],
 )
-def test_pixels_are_those_published_and_memory_is_bounded(name: str, pixels: list[tuple[int, int]]) -> None:
+def test_pixels_are_those_published_and_memory_is_bounded(name, pixels):
     modules = lamp(name).modules
     assert [(module.headlight.pixel_rows, module.headlight.pixel_cols) for module in modules] == pixels
     for module in modules:
@@ -37,13 +37,13 @@ def test_pixels_are_those_published_and_memory_is_bounded(name: str, pixels: lis
         assert (light.matrix.values > 0).all()
 
 
-def test_all_names_are_tested() -> None:
+def test_all_names_are_tested():
     assert set(NAMES) == {"idealised-332x1024", "hd84", "ssl-hd-lores", "ssl-hd-hires", "ssl-hd", "dmd-1m3"}
     assert all("Published" in lamp(name).notes and "Guessed" in lamp(name).notes for name in NAMES)
 
 
 @pytest.mark.parametrize(("name", "width", "height"), [("hd84", 20, 5), ("ssl-hd-lores", 20, 5), ("ssl-hd-hires", 10, 2.5)])
-def test_the_field_ends_where_it_is_published_to(name: str, width: float, height: float) -> None:
+def test_the_field_ends_where_it_is_published_to(name, width, height):
     """Half of the middle's light of the same row or column, or more, within the border; none much beyond it."""
     side = torch.tensor([-1.1, -0.93, 0.0, 0.93, 1.1])
     across = seen(lamp(name), side * width, torch.full_like(side, 0.1))
@@ -52,7 +52,7 @@ def test_the_field_ends_where_it_is_published_to(name: str, width: float, height
     assert (down[[1, 3]] > 380).all() and (down[[0, 4]] < 0.01 * down[2]).all()
 
 
-def test_the_cornering_light_lies_on_the_outside_and_the_lamp_can_bend_further_outwards() -> None:
+def test_the_cornering_light_lies_on_the_outside_and_the_lamp_can_bend_further_outwards():
     for side, sign in (("left", -1.0), ("right", 1.0)):
         module = lamp("ssl-hd", side).module("cornering")
         intensity = module.headlight.intensity(
@@ -64,7 +64,7 @@ def test_the_cornering_light_lies_on_the_outside_and_the_lamp_can_bend_further_o
         assert max(swivel, key=abs) == -15 * sign
 
 
-def test_coloured_edges_keep_the_luminance() -> None:
+def test_coloured_edges_keep_the_luminance():
     light = lamp("hd84", chromatic_shift=0.01).modules[0].headlight
     # Sums of three float32 numbers of order one, the blue one up to 14.
     torch.testing.assert_close(torch.tensor(LUMINANCE) @ light.chroma, torch.ones(light.chroma.shape[1]), atol=3e-6, rtol=0)
@@ -74,7 +74,7 @@ def test_coloured_edges_keep_the_luminance() -> None:
     assert light.n_pixels == lamp("hd84").modules[0].headlight.n_pixels
 
 
-def test_an_unknown_lamp_or_side_is_named_with_what_there_is() -> None:
+def test_an_unknown_lamp_or_side_is_named_with_what_there_is():
     with refusal(r"no lamp 'ssl-hd-lowres'; did you mean 'ssl-hd-lores'\?"):
         lamp("ssl-hd-lowres")
     with refusal("no lamp 'halogen'; known are idealised-332x1024, hd84"):
@@ -85,7 +85,7 @@ def test_an_unknown_lamp_or_side_is_named_with_what_there_is() -> None:
         lamp("idealised-332x1024", chromatic_shift=0.01)
 
 
-def test_each_beam_is_fitted_once_and_only_when_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_beam_is_fitted_once_and_only_when_asked_for(monkeypatch):
     fitted = []
     monkeypatch.setattr("luxloop.world.lamps.fitting.fit", lambda lamp, pattern, traffic: fitted.append(pattern) or lamp.beam("off"))
     lamp.cache_clear()
@@ -100,7 +100,7 @@ def test_each_beam_is_fitted_once_and_only_when_asked_for(monkeypatch: pytest.Mo
     lamp.cache_clear()
 
 
-def test_the_outer_edges_are_bluish_and_the_middle_is_white() -> None:
+def test_the_outer_edges_are_bluish_and_the_middle_is_white():
     light = lamp("ssl-hd-lores", chromatic_shift=0.01).modules[0].headlight
     red, _, blue = light.colour_texture(torch.ones(light.n_pixels))
     lit = light.light_texture(torch.ones(light.n_pixels)) > 100

@@ -33,7 +33,7 @@ def pattern(lamp: Lamp) -> tuple[torch.Tensor, ...]:
     return tuple(torch.rand(module.headlight.n_pixels, generator=generator) for module in lamp.modules)
 
 
-def test_a_lamp_beside_the_middle_shows_parallax(lamp: Lamp, pattern: tuple[torch.Tensor, ...]) -> None:
+def test_a_lamp_beside_the_middle_shows_parallax(lamp, pattern):
     beside = wall_illuminance(sources(lamp, pattern, LEFT), MIDDLE, torch.tensor([1.0]), torch.tensor([-1.0]), 10.0)
     point = torch.tensor([10.0, -10 * math.tan(math.radians(1)), 0.0], dtype=torch.float64)
     point[2] = 0.75 - point[:2].norm() * math.tan(math.radians(1))
@@ -42,7 +42,7 @@ def test_a_lamp_beside_the_middle_shows_parallax(lamp: Lamp, pattern: tuple[torc
     assert_close(beside, expected, rtol=1e-6, atol=0)
 
 
-def test_views_show_the_sum_of_all_modules_through_the_air(lamp: Lamp, pattern: tuple[torch.Tensor, ...]) -> None:
+def test_views_show_the_sum_of_all_modules_through_the_air(lamp, pattern):
     eye = pose_from_degrees((0.0, 0.0, 300.0), pitch_deg=90.0) @ pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
     view = View(8, 12, 60.0, 60.0, 4.0, 18.0, eye)  # 40 m wide, from 0 to 60 m ahead
     road = flat_road(view, 0.2, torch.float64)
@@ -66,13 +66,13 @@ def surfaces(device: torch.device) -> GBuffer:
     return GBuffer(position, normal, albedo, torch.tensor([[0, 1, 2, -1]], device=device, dtype=torch.int32))
 
 
-def test_a_wall_sees_half_the_sky_and_a_ceiling_none(device: torch.device) -> None:
+def test_a_wall_sees_half_the_sky_and_a_ceiling_none(device):
     luminance = ambient_luminance(surfaces(device), 10.0)
     expected = torch.tensor([[0.5 * 10, 0.2 * 5, 0.0, 0.0]], device=device) / math.pi
     assert_close(luminance, expected)
 
 
-def test_street_lamps_add_up_by_the_inverse_square_law(device: torch.device) -> None:
+def test_street_lamps_add_up_by_the_inverse_square_law(device):
     lamps = [StreetLamp(position_m=(0.0, 0.0, 4.0), intensity_cd=1000.0), StreetLamp(position_m=(3.0, 0.0, 2.0), intensity_cd=100.0)]
     luminance = ambient_luminance(surfaces(device), 0.0, lamps)
     # (3, 0, 0) is 5 m from the first lamp: cos 4/5 on the road, 3/5 on the wall; 2 m below the second, which grazes the wall.
@@ -80,7 +80,7 @@ def test_street_lamps_add_up_by_the_inverse_square_law(device: torch.device) -> 
     assert_close(luminance, expected)
 
 
-def test_spotlights_fall_off_with_the_angle_and_shining_surfaces_add_their_own(device: torch.device) -> None:
+def test_spotlights_fall_off_with_the_angle_and_shining_surfaces_add_their_own(device):
     """The axis points down at (3, 0, 0), 5 m away, but for 10 deg aside: exp(-1/2) at a width of 10 deg."""
     down = pose_from_degrees((0.0, 0.0, 4.0), pitch_deg=math.degrees(math.atan2(4, 3)))
     for yaw_deg, share in ((0.0, 1.0), (10.0, math.exp(-0.5))):

@@ -87,11 +87,11 @@ def assert_closed_form(gbuffer: GBuffer, poses: list[Tensor]) -> None:
 
 @pytest.mark.parametrize("x_m", [2.0, 10.0, 50.0])
 @pytest.mark.parametrize("turned", [(0.0, 0.0, 0.0), (3.0, -1.0, 5.0)])
-def test_flat_wall(x_m: float, turned: tuple[float, float, float], device: torch.device) -> None:
+def test_flat_wall(x_m, turned, device):
     assert_closed_form(wall(x_m, device), [pose_from_degrees((0.0, 0.6, 0.75), *turned)])
 
 
-def test_nothing_is_lit_beyond_the_border_behind_the_lamp_or_on_the_back(device: torch.device) -> None:
+def test_nothing_is_lit_beyond_the_border_behind_the_lamp_or_on_the_back(device):
     gbuffer = wall(10.0, device)
     x, y, z = gbuffer.position.flatten(1) - T_LEFT[:3, 3:].to(gbuffer.position)
     outside = ((y / x).abs() > LAMP.left) | (z / x > LAMP.top) | (z / x < LAMP.bottom)
@@ -113,7 +113,7 @@ def texel_lamp(left: float, right: float, bottom: float, top: float, rows: int =
 
 
 @pytest.mark.parametrize("borders", [(0.2, -0.2, -0.06, 0.03), (0.5, 0.1, -0.3, -0.1)], ids=["asymmetric", "looking aside"])
-def test_texture_is_bilinear_between_centres_and_clamped_outside_of_them(borders: tuple[float, float, float, float]) -> None:
+def test_texture_is_bilinear_between_centres_and_clamped_outside_of_them(borders):
     left, right, bottom, top = borders
     lamp = texel_lamp(left, right, bottom, top)
     u = torch.rand(20, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
@@ -131,7 +131,7 @@ def test_texture_is_bilinear_between_centres_and_clamped_outside_of_them(borders
     assert intensity(-0.01, 2.5) == intensity(4.01, 2.5) == intensity(2.5, -0.01) == intensity(2.5, 5.01) == 0
 
 
-def test_a_box_throws_a_shadow_as_long_as_its_height_asks() -> None:
+def test_a_box_throws_a_shadow_as_long_as_its_height_asks():
     box = trimesh.creation.box(bounds=[[8, 0.1, 0], [9, 1.1, 0.5]])
     road = trimesh.Trimesh([[-5, -20, 0], [80, -20, 0], [80, 20, 0], [-5, 20, 0]], [[0, 1, 2], [0, 2, 3]])
     scene = Scene((Body("road", road), Body("box", box)))
@@ -151,7 +151,7 @@ def folded() -> tuple:
     return lit, transport(lit, LAMP, 160)
 
 
-def test_transport_equals_the_plain_path(folded: tuple) -> None:
+def test_transport_equals_the_plain_path(folded):
     lit, folded_transport = folded
     u = torch.rand(3, LAMP.n_pixels, generator=torch.Generator().manual_seed(4))
     actual, index = folded_transport.luminance(u)
@@ -163,7 +163,7 @@ def test_transport_equals_the_plain_path(folded: tuple) -> None:
 @pytest.mark.parametrize(
     "band", [slice(0, 640), slice(330, 331), slice(300, 420), slice(0, 32), slice(639, 640), slice(0, 0), slice(640, 640)]
 )
-def test_banded_light_equals_whole_light(folded: tuple, band: slice) -> None:
+def test_banded_light_equals_whole_light(folded, band):
     _, folded_transport = folded
     u = torch.zeros(LAMP.n_pixels)
     u[band] = torch.rand(u[band].shape, generator=torch.Generator().manual_seed(5))
@@ -175,7 +175,7 @@ def test_banded_light_equals_whole_light(folded: tuple, band: slice) -> None:
     assert_close(image, expected, rtol=1e-6, atol=0)
 
 
-def test_transport_passes_gradients(folded: tuple) -> None:
+def test_transport_passes_gradients(folded):
     lit, folded_transport = folded
     u = torch.full((2, LAMP.n_pixels), 0.5, requires_grad=True)
     folded_transport.luminance(u)[0].square().sum().backward()

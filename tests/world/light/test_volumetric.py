@@ -32,7 +32,7 @@ def uniform(half_deg: float = 45.0, device: torch.device | str = "cpu") -> Sourc
     return Source(light, texture, torch.eye(4, dtype=torch.float64))
 
 
-def test_phase_function_is_a_share() -> None:
+def test_phase_function_is_a_share():
     for g in (-0.5, 0.0, 0.8):
         total = quad(lambda c, g=g: 2 * math.pi * float(phase(torch.tensor(c, dtype=torch.float64), g)), -1, 1)[0]
         mean = quad(lambda c, g=g: 2 * math.pi * c * float(phase(torch.tensor(c, dtype=torch.float64), g)), -1, 1)[0]
@@ -40,7 +40,7 @@ def test_phase_function_is_a_share() -> None:
 
 
 @pytest.mark.parametrize("asymmetry", [0.0, 0.8])
-def test_airlight_agrees_with_quadrature_and_converges(asymmetry: float) -> None:
+def test_airlight_agrees_with_quadrature_and_converges(asymmetry):
     medium = Medium(0.02, 0.05, asymmetry)
 
     def integrand(s: float) -> float:
@@ -55,7 +55,7 @@ def test_airlight_agrees_with_quadrature_and_converges(asymmetry: float) -> None
     assert error[2] < error[1] / 10 < error[0] / 100, "midpoints converge with the square of their number"
 
 
-def test_light_ends_at_surfaces_and_at_the_eye() -> None:
+def test_light_ends_at_surfaces_and_at_the_eye():
     medium = Medium(0.02, 0.02, 0.0)
     near, far = (airlight(uniform(), BESIDE, ACROSS, torch.tensor([m], dtype=torch.float64), medium, 256) for m in (10.0, 30.0))
     rest = airlight(uniform(), BESIDE + 10 * ACROSS[:, 0], ACROSS, FAR, medium, 256)
@@ -65,7 +65,7 @@ def test_light_ends_at_surfaces_and_at_the_eye() -> None:
     assert float(airlight(uniform(), BESIDE, -ACROSS, FAR, medium)) == 0, "away from the beam"
 
 
-def test_a_board_casts_a_shadow_into_the_fog() -> None:
+def test_a_board_casts_a_shadow_into_the_fog():
     source = uniform()
     board = trimesh.creation.box((0.1, 40.0, 40.0))
     board.apply_translation((2.05, 0, 0))
@@ -80,5 +80,5 @@ def test_a_board_casts_a_shadow_into_the_fog() -> None:
     torch.testing.assert_close(airlight(source, BESIDE, crossing, FAR, medium, shadow=shadow), plain)
 
 
-def test_visibility_is_where_contrast_falls_to_five_per_cent() -> None:
+def test_visibility_is_where_contrast_falls_to_five_per_cent():
     assert math.exp(-150 * Medium.fog(150.0).extinction_per_m) == pytest.approx(0.05)

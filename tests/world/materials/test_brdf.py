@@ -66,14 +66,14 @@ def reflectance(material: Material, albedo: float, cos_v: float, n: int = 128) -
 
 @settings(max_examples=8)
 @given(materials, share, st.lists(st.floats(0.002, 1), min_size=3, max_size=3))
-def test_white_furnace_no_surface_reflects_more_than_it_gets(material: Material, albedo: float, cos_v: list[float]) -> None:
+def test_white_furnace_no_surface_reflects_more_than_it_gets(material, albedo, cos_v):
     # The quadrature is good to 1e-4 or so, where the tables keep 1e-3 below.
     assert max(reflectance(material, albedo, cos) for cos in (*cos_v, 1.0)) <= 1 + 2e-4
 
 
 @pytest.mark.parametrize("material", [*MATERIALS.values(), Material(1, 0.5, 0.3, 0.5, 2.0)], ids=[*MATERIALS, "all at once"])
 @pytest.mark.parametrize("cos_v", [0.02, 0.1, 0.5, 1.0])
-def test_white_furnace_a_white_ground_returns_all_that_it_gets(material: Material, cos_v: float) -> None:
+def test_white_furnace_a_white_ground_returns_all_that_it_gets(material, cos_v):
     assert reflectance(material, 1.0, cos_v) == pytest.approx(1.0, abs=3e-3)
     assert reflectance(material, 0.0, cos_v) < 0.95
 
@@ -83,7 +83,7 @@ directions = st.tuples(st.floats(0.01, 1), st.floats(0, 2 * math.pi))
 
 @settings(max_examples=10)
 @given(materials, share, directions, directions)
-def test_lamp_and_eye_may_change_places(material: Material, albedo: float, lamp: tuple[float, float], eye: tuple[float, float]) -> None:
+def test_lamp_and_eye_may_change_places(material, albedo, lamp, eye):
     to_lamp, to_eye = (on_sphere(*(torch.tensor([x], dtype=torch.float64) for x in place)) for place in (lamp, eye))
     there, back = beta(material, albedo, to_lamp, to_eye), beta(material, albedo, to_eye, to_lamp)
     torch.testing.assert_close(there, back, rtol=1e-9, atol=1e-12)
@@ -95,21 +95,21 @@ def to_the_side(angle_deg: float) -> Tensor:
 
 
 @pytest.mark.parametrize("observation_deg, least, most", [(0.2, 70, 75), (0.33, 50, 66), (2.0, 5, 6)])
-def test_a_sign_sheet_has_the_coefficient_of_its_class(observation_deg: float, least: float, most: float) -> None:
+def test_a_sign_sheet_has_the_coefficient_of_its_class(observation_deg, least, most):
     """R_A = L cos_v / (E / cos_l), with the light 5 deg off the sheet's normal; least are the figures of class RA1 for white."""
     to_lamp, to_eye = to_the_side(5.0), to_the_side(5.0 + observation_deg)
     coefficient = beta(MATERIALS["retroreflective_sign"], 0.0, to_lamp, to_eye) / math.pi * to_lamp[2] * to_eye[2]
     assert least <= coefficient.item() <= most
 
 
-def test_lane_paint_has_the_luminance_of_its_class() -> None:
+def test_lane_paint_has_the_luminance_of_its_class():
     """R_L = L / (E / cos_l) seen and lit as from 30 m (EN 1436): class R4 has at least 200 mcd/(m^2 lx)."""
     to_lamp, to_eye = to_the_side(90 - 1.24), to_the_side(90 - 2.29)
     coefficient = beta(MATERIALS["lane_paint"], 0.6, to_lamp, to_eye) / math.pi * to_lamp[2]
     assert 0.200 <= coefficient.item() <= 0.210
 
 
-def test_a_wet_road_is_dark_to_its_own_lamps_and_mirrors_those_ahead() -> None:
+def test_a_wet_road_is_dark_to_its_own_lamps_and_mirrors_those_ahead():
     to_lamp, to_driver = to_the_side(-(90 - 2.5)), to_the_side(-(90 - 4.5))
     mirrored = to_the_side(90 - 2.5)
     albedo = WET.darken(torch.tensor(0.2)).item()
@@ -131,6 +131,6 @@ def test_a_wet_road_is_dark_to_its_own_lamps_and_mirrors_those_ahead() -> None:
         ("trapped", 1.0),
     ],
 )
-def test_numbers_out_of_range_are_refused(name: str, value: float) -> None:
+def test_numbers_out_of_range_are_refused(name, value):
     with refusal(f"{name} = .*range"):
         Material(**{name: value})

@@ -40,14 +40,14 @@ def shown(seen: GBuffer) -> Tensor:
     return image.view(seen.albedo.shape)
 
 
-def test_a_lambertian_scene_carries_no_finish() -> None:
+def test_a_lambertian_scene_carries_no_finish():
     seen = see(road(markings=True), board())
     assert seen.finish is None
     lit = lit_surface(seen, LAMP, T_LEFT)
     assert torch.equal(lit.luminance_factor, seen.albedo.flatten()[lit.index])
 
 
-def test_a_sign_shines_back_as_its_brdf_says_and_nothing_else_changes() -> None:
+def test_a_sign_shines_back_as_its_brdf_says_and_nothing_else_changes():
     plain, sign = see(road(), board()), see(road(), board(material="retroreflective_sign"))
     was, now = shown(plain), shown(sign)
     board_pixels = plain.object_id == 1
@@ -62,7 +62,7 @@ def test_a_sign_shines_back_as_its_brdf_says_and_nothing_else_changes() -> None:
     assert 20 < (now[lit] / was[lit]).median() < 200
 
 
-def test_water_darkens_the_road_and_drowns_the_beads() -> None:
+def test_water_darkens_the_road_and_drowns_the_beads():
     dry, wet = road(markings=True, beads=True, grain=0.0).texture, road(markings=True, beads=True, grain=0.0, wet=1.0).texture
     assert_close(wet.albedo, WET.darken(dry.albedo))
     assert [material.retro > 0 for material in dry.materials] == [False, True]
@@ -71,7 +71,7 @@ def test_water_darkens_the_road_and_drowns_the_beads() -> None:
     assert own.nanmean() < 0.6
 
 
-def test_the_assumed_road_is_as_wet_as_the_real_one() -> None:
+def test_the_assumed_road_is_as_wet_as_the_real_one():
     surface = RoadSurfaceParams(wet=0.7, grain=0.0)
     assumed, real = flat_road(camera(), surface.seen_albedo, material=surface.ground), see(road(wet=0.7, grain=0.0))
     both = (assumed.object_id == 0) & (real.object_id == 0) & (assumed.position[0] < 60)
@@ -82,7 +82,7 @@ def test_the_assumed_road_is_as_wet_as_the_real_one() -> None:
     assert dry.finish is None and torch.equal(dry.albedo, flat_road(camera(), 0.2).albedo)
 
 
-def test_an_unknown_material_is_refused_with_those_there_are() -> None:
+def test_an_unknown_material_is_refused_with_those_there_are():
     with pytest.raises(ValidationError, match="retroreflective_sign"):
         board(material="sign")
 
@@ -101,7 +101,7 @@ def cells(x_m: tuple[float, float], y_m: tuple[float, float], step_m: float = 0.
 
 
 @pytest.mark.parametrize(("shape", "area_m2"), [("rectangle", 6.0), ("ellipse", 6.0 * torch.pi / 4)])
-def test_a_turned_spot_covers_its_area(shape: str, area_m2: float) -> None:
+def test_a_turned_spot_covers_its_area(shape, area_m2):
     spot = SpotParams(shape=shape, x_m=17, y_m=1, length_m=4.0, width_m=1.5, yaw_deg=30)
     x, y = cells((13, 21), (-3, 5))
     there = spot.covers(x, y)
@@ -112,7 +112,7 @@ def test_a_turned_spot_covers_its_area(shape: str, area_m2: float) -> None:
     assert spot.covers(*ahead_on_the_left).all()
 
 
-def test_a_puddle_is_what_a_wet_road_is() -> None:
+def test_a_puddle_is_what_a_wet_road_is():
     texture, wet = spotted(SpotParams(x_m=17, material="wet_asphalt")), RoadSurfaceParams(seed=3, wet=1.0).texture()
     x, y = cells((16.8, 17.2), (-0.2, 0.2))
     # darkening before or after the interpolation between texels of 2 cm

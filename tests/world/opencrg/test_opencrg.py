@@ -52,7 +52,7 @@ def assert_close(actual: np.ndarray, expected: np.ndarray) -> None:
     assert_allclose(actual, expected, rtol=0, atol=TOLERANCE_M)
 
 
-def test_agrees_with_the_reference_library(scan: Crg, reference: dict) -> None:
+def test_agrees_with_the_reference_library(scan, reference):
     facts = reference[Path(scan.source).name]
     assert scan.z.shape == (facts["n_u"], facts["n_v"])
     assert np.isnan(scan.z).sum() == facts["nan_cells"]
@@ -79,7 +79,7 @@ def test_agrees_with_the_reference_library(scan: Crg, reference: dict) -> None:
         assert_close(np.stack([moved.z(u, v), *moved.xy(u, v)]), np.stack([z, x, y]))
 
 
-def test_a_closed_track_wraps(data_dir: Path) -> None:
+def test_a_closed_track_wraps(data_dir):
     track = CrgSurface(read_crg(data_dir / "roads" / "Barber.crg"))
     lap = track.u_end + float(np.hypot(*(track.points[0] - track.points[-1])))
     u, v = np.array([100.0, 2000.0]), np.array([1.0, -2.0])
@@ -107,7 +107,7 @@ def grid(kind_of_line: str = "curved", n_u: int = 40, n_v: int = 6, seed: int = 
 
 @pytest.mark.parametrize(("kind", "tolerance"), [("KDBI", 0.0), ("KRBI", 1e-7), ("LDFI", 1e-16), ("LRFI", 1e-7)])
 @pytest.mark.parametrize("kind_of_line", ["curved", "straight"])
-def test_write_and_read_again(tmp_path: Path, kind: str, tolerance: float, kind_of_line: str) -> None:
+def test_write_and_read_again(tmp_path, kind, tolerance, kind_of_line):
     crg = grid(kind_of_line)
     crg.z[5, :2] = np.nan
     crg = replace(crg, modifiers={"grid_nan_mode": 2.0}, options={"border_mode_u": 4.0})
@@ -124,25 +124,25 @@ def test_write_and_read_again(tmp_path: Path, kind: str, tolerance: float, kind_
 @settings(max_examples=30)
 @example(u=3.0, v=-1.2659479698433227, seed=0)  # rounding takes it before the line's start, where another heading counts
 @given(u=st.floats(3.0, 12.7), v=st.floats(-1.5, 1.5), seed=st.integers(0, 20))
-def test_xy_and_uv_are_inverse(u: float, v: float, seed: int) -> None:
+def test_xy_and_uv_are_inverse(u, v, seed):
     surface = CrgSurface(grid(seed=seed))
     assert_allclose(surface.uv(*surface.xy(u, v)), (u, v), atol=1e-9)
 
 
 @pytest.mark.parametrize(("mode", "expected"), [(0, np.nan), (1, 0.5), (2, 3.5), (3, 0.5), (4, 2.5)])
-def test_border_modes(mode: int, expected: float) -> None:
+def test_border_modes(mode, expected):
     ramp = Crg(z=np.arange(4.0)[:, None] * [1.0, 1.0], v=np.array([-1.0, 1.0]), road={"reference_line_increment": 1.0})
     surface = CrgSurface(replace(ramp, options={"border_mode_u": mode, "border_offset_u": 0.5}))
     assert float(surface.z(3.5, 0.0)) == pytest.approx(expected, nan_ok=True)
 
 
-def test_smoothing_ramps_from_the_line() -> None:
+def test_smoothing_ramps_from_the_line():
     step = Crg(z=np.ones((11, 2)), v=np.array([-1.0, 1.0]), road={"reference_line_increment": 1.0}, options={"border_smooth_ubeg": 4.0})
     assert_allclose(CrgSurface(step).z([-1.0, 1.0, 2.0, 4.0, 9.0], 0.0), [0.0, 0.25, 0.5, 1.0, 1.0])
 
 
 @pytest.mark.parametrize("given", [True, False])
-def test_line_meets_its_end_if_given(given: bool) -> None:
+def test_line_meets_its_end_if_given(given):
     road = {"reference_line_increment": 0.25, "reference_line_end_x": 9.0, "reference_line_end_y": 1.0, "reference_line_end_z": 0.4}
     crg = replace(grid(), road=road if given else {"reference_line_increment": 0.25})
     surface = CrgSurface(crg)
@@ -153,7 +153,7 @@ def test_line_meets_its_end_if_given(given: bool) -> None:
         assert_allclose(np.linalg.norm(np.diff(surface.points, axis=0), axis=1), 0.25)
 
 
-def test_modifiers_move_the_reference_point_and_keep_the_shape() -> None:
+def test_modifiers_move_the_reference_point_and_keep_the_shape():
     crg = grid()
     mods = {"refpoint_u": 7.0, "refpoint_v": 0.3, "refpoint_x": 5.0, "refpoint_y": -2.0, "refpoint_z": 1.0, "refpoint_phi": 0.7}
     before, after = CrgSurface(crg), CrgSurface(modify(crg, mods))
@@ -164,7 +164,7 @@ def test_modifiers_move_the_reference_point_and_keep_the_shape() -> None:
     assert_allclose(*distances, atol=1e-12)
 
 
-def test_modifiers_scale() -> None:
+def test_modifiers_scale():
     crg = grid("straight")
     scaled = modify(crg, {"scale_z_grid": 2.0, "scale_length": 3.0, "scale_width": 0.5})
     np.testing.assert_array_equal(scaled.z, 2 * crg.z)
@@ -174,7 +174,7 @@ def test_modifiers_scale() -> None:
     assert_allclose(turned.phi(np.linspace(3.0, 12.7, 9)), 0.3)
 
 
-def test_nan_is_filled_outwards() -> None:
+def test_nan_is_filled_outwards():
     nan = np.nan
     crg = replace(grid("straight", 3, 4), z=np.array([[nan, 1, 2, nan], [nan] * 4, [nan, nan, 7, nan]]), v=np.arange(4.0))
     np.testing.assert_array_equal(fill_gaps(crg, 0.0).z[[0, 2]], [[1, 1, 2, 2], [7, 7, 7, 7]])
@@ -183,7 +183,7 @@ def test_nan_is_filled_outwards() -> None:
     np.testing.assert_array_equal(modify(crg, {"grid_nan_mode": 1}).z[0], [0, 1, 2, 0])
 
 
-def test_a_file_may_refer_to_another(tmp_path: Path) -> None:
+def test_a_file_may_refer_to_another(tmp_path):
     write_crg(tmp_path / "scan.crg", replace(grid(), modifiers={"scale_z_grid": 3.0, "grid_nan_mode": 2.0}), "KDBI")
     outer = tmp_path / "outer.crg"
     outer.write_text("$ROAD_CRG_FILE\n ./sc  ! split\n an.crg\n$ROAD_CRG_MODS\nSCALE_Z_GRID = 2.000000000+e00\n$\n")
@@ -196,7 +196,7 @@ def test_a_file_may_refer_to_another(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", ["$SECRET/scan.crg", "${SECRET}.crg", "/nowhere/$SECRET"])
-def test_a_reference_shows_no_environment_variable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, path: str) -> None:
+def test_a_reference_shows_no_environment_variable(tmp_path, monkeypatch, path):
     monkeypatch.setenv("SECRET", "hunter2")
     outer = tmp_path / "outer.crg"
     outer.write_text(f"$ROAD_CRG_FILE\n {path}\n$\n")
@@ -230,7 +230,7 @@ def test_a_reference_shows_no_environment_variable(tmp_path: Path, monkeypatch: 
         ("LRFI", b"\n 0.25", b"\n 0,25", r"line \d+: .* is not a number in a fixed column"),
     ],
 )
-def test_broken_files_say_what_and_where(tmp_path: Path, kind: str, old: bytes, new: bytes, message: str) -> None:
+def test_broken_files_say_what_and_where(tmp_path, kind, old, new, message):
     path = tmp_path / "bad.crg"
     write_crg(path, replace(grid("straight"), z=np.full((40, 6), 0.25)), kind)
     content = path.read_bytes()
@@ -249,7 +249,7 @@ CM, INCH, DEGREE = 0.01, 0.0254, np.pi / 180
     ("channel", "unit", "one"),
     [("z", "CM", CM), ("z", " [in] ", INCH), ("phi", "deg", DEGREE), ("slope", "%", 0.01), ("banking", "mm/m", 1e-3)],
 )
-def test_units_are_converted(kind: str, channel: str, unit: str, one: float, tmp_path: Path) -> None:
+def test_units_are_converted(kind, channel, unit, one, tmp_path):
     crg = grid("straight")
     crg = replace(crg, **{channel: getattr(crg, channel) if channel == "z" else np.linspace(0.001, 0.002, len(crg.z))})
     value = getattr(crg, channel)
@@ -261,7 +261,7 @@ def test_units_are_converted(kind: str, channel: str, unit: str, one: float, tmp
     assert_allclose(getattr(read_crg(tmp_path / "a.crg"), channel), value, rtol=0, atol=1e-5 * one + 1e-7)
 
 
-def test_header_numbers_have_units_and_sections_an_increment_from_their_ends(tmp_path: Path) -> None:
+def test_header_numbers_have_units_and_sections_an_increment_from_their_ends(tmp_path):
     write_crg(tmp_path / "a.crg", replace(grid("straight"), z=np.full((40, 6), 0.25)))
     data = (tmp_path / "a.crg").read_bytes()
     for old, new in ((b"= -1.0", b"= -100 cm"), (b"= 0.3", b"= 30 [DEG]"), (b"LONG_SECTION_V_INCREMENT", b"NO")):
@@ -273,7 +273,7 @@ def test_header_numbers_have_units_and_sections_an_increment_from_their_ends(tmp
     assert crg.line("start_phi") == pytest.approx(np.pi / 6)
 
 
-def test_damaged_binary_is_refused(tmp_path: Path) -> None:
+def test_damaged_binary_is_refused(tmp_path):
     path = tmp_path / "bad.crg"
     crg = replace(grid("straight"), z=np.full((40, 6), np.float32(2.1025)))  # holds no CR LF
     crg.z[7, 3] = np.frombuffer(b"\x3f\x0d\x0a\x01", ">f4")[0]
@@ -293,7 +293,7 @@ def test_damaged_binary_is_refused(tmp_path: Path) -> None:
         assert len(read_crg(path).z) < 40
 
 
-def test_not_a_crg(tmp_path: Path) -> None:
+def test_not_a_crg(tmp_path):
     path = tmp_path / "noise.crg"
     path.write_bytes(np.random.default_rng(0).bytes(5000))
     with refusal("is not an OpenCRG file"):
@@ -315,7 +315,7 @@ LARGE = ("scale_length", "scale_width", "scale_z_grid", "scale_curvature", "refp
         *((name, value, NO_ROAD) for name, value in zip(LARGE[:4], (1e-300, 1e9, -1e9, 1e9), strict=True)),
     ],
 )
-def test_modifiers_of_no_road_are_refused_in_a_sentence(modifier: str, value: float, words: str, tmp_path: Path) -> None:
+def test_modifiers_of_no_road_are_refused_in_a_sentence(modifier, value, words, tmp_path):
     phi = np.linspace(0.0, 0.2, 9)
     crg = Crg(np.full((9, 3), 0.2), np.array([-1.0, 0.0, 1.0]), {"reference_line_increment": 0.5}, phi, modifiers={modifier: value})
     write_crg(tmp_path / "a.crg", crg)

@@ -41,13 +41,13 @@ def uniform(kind: Kind, v: list[float], h: list[float]) -> Distribution:
         ("C", "nadir", AHEAD, 90, 90),
     ],
 )
-def test_angles_are_those_of_the_standard(kind, aim, direction, v, h) -> None:  # type: ignore[no-untyped-def]
+def test_angles_are_those_of_the_standard(kind, aim, direction, v, h):  # type: ignore[no-untyped-def]
     v_at, h_at = angles_of(kind, np.array(direction, float), aim)
     assert v_at == pytest.approx(v, abs=1e-12)
     assert h is None or h_at == pytest.approx(h, abs=1e-12)
 
 
-def test_type_b_is_type_c_by_the_known_conversion() -> None:
+def test_type_b_is_type_c_by_the_known_conversion():
     """tan B = cos C' tan gamma and sin beta = sin C' sin gamma, planes C' counted from the one in which B turns (up) to the right."""
     directions = np.random.default_rng(1).normal(size=(3, 50))
     directions[0] = abs(directions[0])
@@ -70,13 +70,13 @@ def test_type_b_is_type_c_by_the_known_conversion() -> None:
         ([0, 10, 20], [5, 20, 90, 350], [1.5, 3, 0, 0]),
     ],
 )
-def test_planes_of_type_c_are_unfolded(stored: list[float], queries: list[float], expected: list[float]) -> None:
+def test_planes_of_type_c_are_unfolded(stored, queries, expected):
     candela = np.repeat(np.arange(1.0, len(stored) + 1)[:, None], 2, axis=1)
     distribution = Distribution("C", np.array([0.0, 180]), np.array(stored, float), candela)
     assert_allclose(distribution.at(60, np.array(queries, float)), expected, rtol=1e-12)
 
 
-def test_types_a_and_b_are_mirrored_where_they_begin_at_zero_and_dark_beyond_their_ends() -> None:
+def test_types_a_and_b_are_mirrored_where_they_begin_at_zero_and_dark_beyond_their_ends():
     candela = np.array([[4.0, 2], [3, 1]])
     for kind in ("A", "B"):
         folded = Distribution(kind, np.array([0.0, 10]), np.array([0.0, 20]), candela)
@@ -99,7 +99,7 @@ def test_types_a_and_b_are_mirrored_where_they_begin_at_zero_and_dark_beyond_the
         (uniform("B", [-5, 5], [-10, 10]), 2 * math.sin(math.radians(10)) * math.radians(10)),
     ],
 )
-def test_uniform_light_has_the_flux_of_its_solid_angle(distribution: Distribution, flux: float) -> None:
+def test_uniform_light_has_the_flux_of_its_solid_angle(distribution, flux):
     assert distribution.luminous_flux == pytest.approx(flux, rel=1e-12)
 
 
@@ -115,6 +115,6 @@ def test_uniform_light_has_the_flux_of_its_solid_angle(distribution: Distributio
         ("A", [0.0, 1], [0.0], [[1.0, math.nan]], "finite"),
     ],
 )
-def test_nonsense_is_refused(kind: Kind, v: list[float], h: list[float], candela: list[list[float]], word: str) -> None:
+def test_nonsense_is_refused(kind, v, h, candela, word):
     with refusal(word):
         Distribution(kind, np.array(v), np.array(h), np.array(candela))

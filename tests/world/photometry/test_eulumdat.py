@@ -21,7 +21,7 @@ def parsed(text: str):  # type: ignore[no-untyped-def]
     return parse(text, Path("lamp.ldt"))
 
 
-def test_a_plain_file() -> None:
+def test_a_plain_file():
     p = parsed(PLAIN)
     assert (p.format, p.luminaire, p.lamps, p.lumens_per_lamp, p.watts) == ("EULUMDAT", "luminaire", 1, 2000, 20)
     assert p.size_m == (-0.2, 0.2, 0.02)  # round
@@ -40,7 +40,7 @@ def test_a_plain_file() -> None:
     ],
 )
 @pytest.mark.parametrize("planes", [C, [*C, 360]])
-def test_symmetries(symmetry: int, stored: int, planes: list[int], ahead: float, left: float, behind: float, right: float) -> None:
+def test_symmetries(symmetry, stored, planes, ahead, left, behind, right):
     stored += len(planes) - len(C) if symmetry == 0 else 0  # there C360 is stored, too
     d = parsed(ldt(symmetry, planes, GAMMA, [[1.0, 10 * plane, 1] for plane in range(1, stored + 1)], flux="1000")).distribution
     assert len(d.horizontal_deg) == stored
@@ -48,14 +48,14 @@ def test_symmetries(symmetry: int, stored: int, planes: list[int], ahead: float,
     assert_allclose(d.intensity(around, "nadir"), [ahead, left, behind, right])
 
 
-def test_symmetry_3_may_store_the_half_behind() -> None:
+def test_symmetry_3_may_store_the_half_behind():
     d = parsed(ldt(3, [90, 180, 270], GAMMA, [[1.0, 10 * plane, 1] for plane in (1, 2, 3)], flux="1000")).distribution
     assert_allclose(d.at(90, [0, 90, 180, 270]), [20, 10, 20, 30])
 
 
 @pytest.mark.parametrize("number", [24, 29, FIRST_VALUE + 1])
 @pytest.mark.parametrize("separator", [" ", "\N{NO-BREAK SPACE}", "\N{THIN SPACE}", "\N{NARROW NO-BREAK SPACE}", "'", "’", ","])
-def test_separated_thousands_are_refused_or_told(number: int, separator: str) -> None:
+def test_separated_thousands_are_refused_or_told(number, separator):
     text = line_changed(number, f"1{separator}000")
     if separator == ",":
         assert "thousands" in str(parsed(text).warnings)
@@ -67,12 +67,12 @@ def test_separated_thousands_are_refused_or_told(number: int, separator: str) ->
 
 
 @pytest.mark.parametrize("layout", [lambda t: t.replace("\n", "\r\n"), lambda t: t.replace(".", ","), lambda t: "﻿" + t])
-def test_layout_does_not_matter(layout, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_layout_does_not_matter(layout, tmp_path):  # type: ignore[no-untyped-def]
     (tmp_path / "lamp.ldt").write_bytes(layout(ldt(4, C, GAMMA, [[10.5, 20, 30], [40, 50, 60]])).encode())
     assert read_photometry(tmp_path / "lamp.ldt").distribution.candela[0, 0] == 21
 
 
-def test_a_negative_number_of_lamps_means_absolute() -> None:
+def test_a_negative_number_of_lamps_means_absolute():
     p = parsed(ldt(4, C, GAMMA, TABLE, lamps="-1"))
     assert p.absolute and p.lamps == 1
     assert_allclose(p.distribution.candela, 2 * np.array(TABLE))
@@ -89,7 +89,7 @@ def test_a_negative_number_of_lamps_means_absolute() -> None:
         (ldt(4, C, GAMMA, TABLE, flux="1.000"), "read as 1 lm"),
     ],
 )
-def test_odd_files_are_read_with_a_warning(text: str, warned: str) -> None:
+def test_odd_files_are_read_with_a_warning(text, warned):
     warnings = parsed(text).warnings
     assert len(warnings) == 1 and warned in warnings[0]
 
@@ -116,18 +116,18 @@ def line_changed(number: int, value: str) -> str:
         (FIRST_VALUE + 1, "-5", "not negative, found '-5'"),
     ],
 )
-def test_broken_files_name_the_line_and_what_was_expected(number: int, value: str, expected: str) -> None:
+def test_broken_files_name_the_line_and_what_was_expected(number, value, expected):
     with sentence(expected, f"line {46 if number == 44 else number}:"):
         parsed(line_changed(number, value))
 
 
 @pytest.mark.parametrize("lines", [1, 5, 27, 35, 42, 45, 52])
-def test_truncated_files_name_their_end(lines: int) -> None:
+def test_truncated_files_name_their_end(lines):
     with refusal(r"found the file's end|found '\(nothing\)'"):
         parsed("\n".join(PLAIN.split("\n")[:lines]))
 
 
-def test_what_a_file_holds_counts_more_than_its_name(tmp_path: Path) -> None:
+def test_what_a_file_holds_counts_more_than_its_name(tmp_path):
     (tmp_path / "lamp.ldt").write_text(ies([0, 90], [0], [[1, 2]]))
     assert read_photometry(tmp_path / "lamp.ldt").format == "LM-63-2002"
     (tmp_path / "lamp.ies").write_text(PLAIN.replace("\nreport\n", "\nTILT = 15 deg\n"))
@@ -136,7 +136,7 @@ def test_what_a_file_holds_counts_more_than_its_name(tmp_path: Path) -> None:
     assert read_photometry(tmp_path / "lamp.txt").format == "EULUMDAT"
 
 
-def test_what_is_written_is_read_again(tmp_path: Path) -> None:
+def test_what_is_written_is_read_again(tmp_path):
     c, gamma = np.arange(360.0), np.array([0.0, 1.0, 2.5, 7.0, 180.0])
     candela = 1000 * np.exp(-gamma) * (1 + 0.5 * np.sin(np.radians(c)))[:, None]
     candela[:, -2:] = 0

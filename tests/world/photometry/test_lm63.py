@@ -23,7 +23,7 @@ def parsed(text: str):  # type: ignore[no-untyped-def]
     return parse(text, Path("lamp.ies"))
 
 
-def test_a_plain_file() -> None:
+def test_a_plain_file():
     p = parsed(PLAIN)
     assert p.format == "LM-63-2002" and p.absolute and p.lamps == 1 and p.watts == 10 and p.warnings == ()
     assert p.keywords == {"TEST": "1"} and p.luminaire == "lamp"
@@ -46,13 +46,13 @@ def test_a_plain_file() -> None:
         ("IESNA:LM-63-2002\nSCCS stray\n", 2002, "line 2"),
     ],
 )
-def test_editions(head: str, edition: int, warned: str | None) -> None:
+def test_editions(head, edition, warned):
     p = parsed(ies(V, H, TABLE, head=head))
     assert p.format == f"LM-63-{edition}"
     assert (warned is None and not p.warnings) or (warned and warned in p.warnings[0])
 
 
-def test_factors_are_applied_but_for_the_one_whose_meaning_changed() -> None:
+def test_factors_are_applied_but_for_the_one_whose_meaning_changed():
     text = ies(V, H, TABLE, lumens=500, multiplier=2, ballast=0.5).replace("0.5 1 10", "0.5 1.101 10")
     p = parsed(text)
     np.testing.assert_array_equal(p.distribution.candela, TABLE)
@@ -60,7 +60,7 @@ def test_factors_are_applied_but_for_the_one_whose_meaning_changed() -> None:
 
 
 @pytest.mark.parametrize("head", ["any words\n", "IESNA91\n"])
-def test_the_ballast_lamp_factor_of_old_editions_is_applied(head: str) -> None:
+def test_the_ballast_lamp_factor_of_old_editions_is_applied(head):
     p = parsed(ies(V, H, TABLE, head=head, ballast=0.9).replace("0.9 1 10", "0.9 0.8 10"))
     np.testing.assert_allclose(p.distribution.candela, 0.72 * np.array(TABLE))
     assert "ballast-lamp factor 0.8" in p.warnings[-1]
@@ -70,7 +70,7 @@ NUMBERS = [match.span() for match in re.finditer(r"\S+", PLAIN) if match.start()
 
 
 @pytest.mark.parametrize("separator", [",", " ", "\N{NO-BREAK SPACE}", "\N{THIN SPACE}", "\N{NARROW NO-BREAK SPACE}", "'", "’"])
-def test_separators_within_any_number_are_refused(separator: str) -> None:
+def test_separators_within_any_number_are_refused(separator):
     for start, end in NUMBERS:
         for number in (f"1{separator}000", f"12{separator}500", f"{PLAIN[start:end]}{separator}5"):
             with refusal(r"line \d+: expected"):
@@ -89,7 +89,7 @@ def test_separators_within_any_number_are_refused(separator: str) -> None:
         lambda text: "﻿" + text,
     ],
 )
-def test_layout_does_not_matter(layout, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_layout_does_not_matter(layout, tmp_path):  # type: ignore[no-untyped-def]
     file = tmp_path / "lamp.ies"
     file.write_bytes(layout(PLAIN).encode())
     p = read_photometry(file)
@@ -112,7 +112,7 @@ def test_layout_does_not_matter(layout, tmp_path: Path) -> None:  # type: ignore
         (ies(V, H, TABLE, lumens=0), "0 lumens per lamp: read as absolute"),
     ],
 )
-def test_odd_files_are_read_with_a_warning(text: str, warned: str) -> None:
+def test_odd_files_are_read_with_a_warning(text, warned):
     p = parsed(text)
     assert any(warned in warning for warning in p.warnings), p.warnings
     assert p.distribution.candela.shape == (2, 3)
@@ -136,24 +136,24 @@ def test_odd_files_are_read_with_a_warning(text: str, warned: str) -> None:
         (PLAIN.replace("TILT=NONE", "TILT=INCLUDE\n1 2 0 90\n1 x"), 5, "tilt factor 2 of 2"),
     ],
 )
-def test_broken_files_name_the_line_and_what_was_expected(text: str, line: int, expected: str) -> None:
+def test_broken_files_name_the_line_and_what_was_expected(text, line, expected):
     with sentence(expected, f"lamp.ies, line {line}: "):
         parsed(text)
 
 
 @pytest.mark.parametrize(("data", "words"), [(b"", "empty"), (b" \n ", "empty"), (b"\x89PNG\0\0", "binary"), (b"\xff\xfe\xfa", "TILT")])
-def test_what_is_no_text_is_refused(data: bytes, words: str, tmp_path: Path) -> None:
+def test_what_is_no_text_is_refused(data, words, tmp_path):
     (tmp_path / "lamp.ies").write_bytes(data)
     with refusal(words):
         read_photometry(tmp_path / "lamp.ies")
 
 
-def test_a_missing_file_is_a_sentence(tmp_path: Path) -> None:
+def test_a_missing_file_is_a_sentence(tmp_path):
     with refusal(r"lamp\.ies: cannot be read"):
         read_photometry(tmp_path / "lamp.ies")
 
 
-def test_tilt_is_offered_and_not_applied(tmp_path: Path) -> None:
+def test_tilt_is_offered_and_not_applied(tmp_path):
     factors = "3\n2\n0 90\n1 0.5\n"
     for tilt in (f"TILT=INCLUDE\n{factors}", "TILT=C:\\lamps\\lamp.tlt\n"):
         (tmp_path / "lamp.ies").write_text(ies(V, H, TABLE, tilt=tilt))
@@ -183,7 +183,7 @@ def distributions(draw: st.DrawFn) -> Distribution:
 
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(distributions())
-def test_what_is_written_is_read_back(tmp_path: Path, d: Distribution) -> None:
+def test_what_is_written_is_read_back(tmp_path, d):
     write(tmp_path / "lamp.ies", d, {"LAMP": "one\ntwo"})
     p = read_photometry(tmp_path / "lamp.ies")
     assert (p.format, p.keywords["LAMP"], p.distribution.type, p.absolute) == ("LM-63-2019", "one\ntwo", d.type, True)
@@ -194,7 +194,7 @@ def test_what_is_written_is_read_back(tmp_path: Path, d: Distribution) -> None:
     assert not list(tmp_path.glob("*.part"))
 
 
-def test_writing_to_nowhere_is_a_sentence(tmp_path: Path) -> None:
+def test_writing_to_nowhere_is_a_sentence(tmp_path):
     with refusal("cannot be written"):
         write(tmp_path / "no" / "lamp.ies", parsed(PLAIN).distribution)
     (tmp_path / "d.ies").mkdir()

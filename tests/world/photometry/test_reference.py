@@ -22,7 +22,7 @@ def facts(data_dir: Path, name: str) -> tuple[Photometry, dict[str, Any]]:
 
 
 @pytest.mark.parametrize("name", IES)
-def test_lm63(data_dir: Path, name: str) -> None:
+def test_lm63(data_dir, name):
     p, expected = facts(data_dir, f"{name}.ies")
     d = p.distribution
     assert d.type == expected["photometry_type"] and p.lamps == expected["lamps"] and p.tilt == expected["tilt"]
@@ -50,13 +50,13 @@ def test_lm63(data_dir: Path, name: str) -> None:
     ("name", "words"),
     [("defined_diffuse", "'END'"), ("display", "no version line"), ("examp1", "line 2"), ("type_a_symmetric", "mirrored")],
 )
-def test_odd_files_warn(data_dir: Path, name: str, words: str) -> None:
+def test_odd_files_warn(data_dir, name, words):
     p, _ = facts(data_dir, f"{name}.ies")
     assert any(words in warning for warning in p.warnings)
 
 
 @pytest.mark.parametrize("name", LDT)
-def test_eulumdat(data_dir: Path, name: str) -> None:
+def test_eulumdat(data_dir, name):
     p, expected = facts(data_dir, f"{name}.ldt")
     d, klm = p.distribution, expected["lamp_flux_lm"][0] / 1000
     assert d.candela.shape == (expected["stored_planes"], expected["Ng"]) and p.watts == expected["watts"][0]

@@ -33,14 +33,14 @@ def samples_of(d: Distribution, g: TexelGrid) -> tuple[np.ndarray, np.ndarray]:
     return samples(d, *angles_about(d, g, "beam", None, (np.arange(g.rows), np.arange(g.cols))))
 
 
-def test_solid_angles_add_up_to_that_of_the_whole_plane() -> None:
+def test_solid_angles_add_up_to_that_of_the_whole_plane():
     assert solid_angles(grid(7, 13, 45, 45)).sum() == pytest.approx(4 * math.pi / 6, rel=1e-12)  # a face of a cube
     small = solid_angles(TexelGrid(rows=1, cols=1, left=0.501, right=0.5, bottom=0.2, top=0.201))[0, 0]
     assert small == pytest.approx(1e-6 * (1 + 0.5005**2 + 0.2005**2) ** -1.5, rel=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["A", "B"])
-def test_coarse_texels_hold_the_average_over_their_solid_angle(kind: Kind) -> None:
+def test_coarse_texels_hold_the_average_over_their_solid_angle(kind):
     d, g = beam(0.5, kind), grid(4, 6)
     coarse = light_texture(d, g)
     fine = grid(4 * 128, 6 * 128)
@@ -51,7 +51,7 @@ def test_coarse_texels_hold_the_average_over_their_solid_angle(kind: Kind) -> No
 
 
 @pytest.mark.parametrize("shape", [(3, 5), (10, 20), (33, 64), (80, 160)])
-def test_flux_is_kept(shape: tuple[int, int]) -> None:
+def test_flux_is_kept(shape):
     """All of the light lies within the texture; it is the integral of the table, at any resolution."""
     h, v = np.arange(-15, 15.1, 0.5), np.arange(-8, 8.1, 0.5)
     d = Distribution("A", v, h, 1e4 * (np.cos(np.deg2rad(6 * h))[:, None] * np.cos(np.deg2rad(11.25 * v))).clip(0))
@@ -59,7 +59,7 @@ def test_flux_is_kept(shape: tuple[int, int]) -> None:
     assert (light_texture(d, g) * solid_angles(g)).sum() == pytest.approx(d.luminous_flux, rel=2e-3)
 
 
-def test_a_hard_edge_is_sampled_densely() -> None:
+def test_a_hard_edge_is_sampled_densely():
     """Light that stops at once in the middle of a texel, at the end of a table or at a step of next to nothing."""
     v = np.array([-30.0, 30])
     ends = Distribution("A", v, np.array([-5.0, 5]), np.ones((2, 2)))
@@ -70,14 +70,14 @@ def test_a_hard_edge_is_sampled_densely() -> None:
         assert (light_texture(d, g) * solid_angles(g)).sum() == pytest.approx(inside, rel=0.35 / 16 / 10 * 2)  # half a sample a side
 
 
-def test_the_error_counts_where_the_source_shines_and_light_that_is_cut_off() -> None:
+def test_the_error_counts_where_the_source_shines_and_light_that_is_cut_off():
     d = Distribution("A", np.array([-5.0, 5]), np.array([-10.0, 10]), np.full((2, 2), 8.0))
     assert rmse(d, grid(20, 40), light_texture(d, grid(20, 40))) < 8 * 0.3  # blurred edges
     half = TexelGrid.from_degrees(40, 40, 0, -10, -5, 5)
     assert rmse(d, half, light_texture(d, half)) == pytest.approx(8 * math.sqrt(0.5), rel=0.01)
 
 
-def test_type_c_turns_with_its_aim() -> None:
+def test_type_c_turns_with_its_aim():
     """A street lamp that throws to its C0 side: to the right when it is the beam, and below the horizon as it hangs."""
     d = Distribution("C", np.array([0.0, 20, 90]), np.array([0.0, 90, 180]), np.array([[1.0, 100, 0], [1, 10, 0], [1, 1, 0]]))
     texture = light_texture(d, grid(21, 41, 30, 30))
@@ -88,7 +88,7 @@ def test_type_c_turns_with_its_aim() -> None:
 
 
 @pytest.mark.parametrize("kind", ["A", "B"])
-def test_the_error_falls_to_zero_with_resolution(kind: Kind) -> None:
+def test_the_error_falls_to_zero_with_resolution(kind):
     """A bilinear table on other lines than the texels': kinks give an error of order h on a share h of the area, order 1.5 in all."""
     d = beam(2.0, kind)
     errors = [rmse(d, g, light_texture(d, g)) / d.candela.max() for g in (grid(n, 2 * n, 41, 21) for n in (32, 64, 128, 256, 512))]

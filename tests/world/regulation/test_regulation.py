@@ -3,7 +3,6 @@
 import json
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -53,7 +52,7 @@ def short(shared_id: str) -> str:
     return name.replace("r149-01", "r149")
 
 
-def test_tables_hold_the_shared_numbers(data_dir: Path) -> None:
+def test_tables_hold_the_shared_numbers(data_dir):
     shared = [json.loads((data_dir / "regulation" / f"{name}_points.json").read_text())["sets"] for name in ("ece_r149", "fmvss108")]
     for published in (each for group in shared for each in group):
         ours = {each.id: each for each in rule_set(short(published["id"])).requirements if each.kind != "flux"}
@@ -81,14 +80,14 @@ def geometry(published: dict[str, Any]) -> tuple[tuple[float, float], ...]:
     return tuple(map(tuple, points))
 
 
-def test_an_unknown_rule_names_its_neighbours() -> None:
+def test_an_unknown_rule_names_its_neighbours():
     with refusal(r"'r149-passing-x'.*did you mean 'r149-passing"):
         rule_set("r149-passing-x")
     with refusal("known are fmvss108-lb1m, "):
         rule_set("gb4599")
 
 
-def test_ids_may_be_typed_loosely_and_r112_is_r149_of_the_00_series() -> None:
+def test_ids_may_be_typed_loosely_and_r112_is_r149_of_the_00_series():
     assert rule_set("FMVSS108_LB2V").id == "fmvss108-lb2v"
     assert rule_set("r149-00-passing-b") == rule_set("r112-passing-b")
 
@@ -96,7 +95,7 @@ def test_ids_may_be_typed_loosely_and_r112_is_r149_of_the_00_series() -> None:
 # Verdicts
 
 
-def test_flux_is_integrated_and_counts_only_on_its_condition() -> None:
+def test_flux_is_integrated_and_counts_only_on_its_condition():
     found = rows(check_beam(uniform(1000.0), "r149-passing-c"))["Flux 15D to 1U"]
     solid_angle = math.radians(60) * (math.sin(math.radians(1)) + math.sin(math.radians(15)))
     assert found.value == pytest.approx(1000 * solid_angle, rel=1e-6)  # midpoint rule at 0.1 deg
@@ -105,7 +104,7 @@ def test_flux_is_integrated_and_counts_only_on_its_condition() -> None:
     assert counted.verdict == "fail" and counted.margin == pytest.approx(1000 * solid_angle / 400 - 1, rel=1e-6)
 
 
-def test_the_worst_point_of_a_ramp_is_at_the_end_of_its_segment_and_at_the_corner_of_its_zone() -> None:
+def test_the_worst_point_of_a_ramp_is_at_the_end_of_its_segment_and_at_the_corner_of_its_zone():
     found = rows(check_beam(field(lambda h, v: 400 + 20 * h + 10 * v), "r149-passing-c"))
     assert found["Zone III"].where == pytest.approx((8, 4)) and found["Zone III"].value == pytest.approx(600)
     assert found["Segment 25"].where == pytest.approx((-9, -1.72)) and found["Segment 25"].value == pytest.approx(400 - 180 - 17.2)
@@ -113,7 +112,7 @@ def test_the_worst_point_of_a_ramp_is_at_the_end_of_its_segment_and_at_the_corne
     assert left["P"].where == pytest.approx((7, 0)) and left["P"].value == pytest.approx(540)
 
 
-def test_the_largest_intensity_is_found_between_samples_and_h_v_is_checked_by_it() -> None:
+def test_the_largest_intensity_is_found_between_samples_and_h_v_is_checked_by_it():
     peak = field(lambda h, v: 50_000 * torch.exp(-(((h - 0.513) / 2) ** 2) - ((v - 0.227) / 0.5) ** 2))
     found = rows(check_beam(peak, "r149-driving-a"))
     # Refined samples lie 0.01 deg apart: at most 0.005 deg off a peak that is 0.5 deg wide.
@@ -128,7 +127,7 @@ def test_the_largest_intensity_is_found_between_samples_and_h_v_is_checked_by_it
 # The cut-off
 
 
-def test_the_cut_off_is_found_at_its_height_and_as_sharp_as_it_is() -> None:
+def test_the_cut_off_is_found_at_its_height_and_as_sharp_as_it_is():
     v_deg, sharpness = inflection(low_beam(-0.8), -2.5, -0.57)
     assert sharpness == pytest.approx(0.25, abs=1e-9)
     assert v_deg == pytest.approx(-0.8, abs=0.05)  # the middle of one decade of constant slope, in steps of 0.05 deg
@@ -139,7 +138,7 @@ def test_the_cut_off_is_found_at_its_height_and_as_sharp_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("traffic", ["right", "left"])
-def test_a_lamp_is_aimed_by_its_cut_off(traffic: Any) -> None:
+def test_a_lamp_is_aimed_by_its_cut_off(traffic):
     beam = low_beam(-0.9, 0.6)
     turned = beam if traffic == "right" else lambda d: beam(d * torch.tensor([[1.0], [-1.0], [1.0]]))
     turn = aim_beam(turned, "r149-passing-v", traffic=traffic)
@@ -154,7 +153,7 @@ def test_a_lamp_is_aimed_by_its_cut_off(traffic: Any) -> None:
 
 
 @pytest.mark.parametrize(("beam", "set_id"), [("upper_beam", "fmvss108-ub2"), ("lower_beam", "fmvss108-lb2v")])
-def test_a_production_headlamp_passes_as_its_report_says(beam: str, set_id: str, data_dir: Path) -> None:
+def test_a_production_headlamp_passes_as_its_report_says(beam, set_id, data_dir):
     measured = json.loads((data_dir / "regulation" / "headlamp_measured_2016_ford_focus.json").read_text())[beam]
     points = torch.tensor(measured["rows"], dtype=torch.float64)
 
@@ -180,7 +179,7 @@ def misses(set_id: str, h: float, v: float, cd: float) -> bool:
     return any(not (each.min or 0) <= cd <= (each.max or math.inf) for each in on)
 
 
-def test_a_beam_made_of_formulas_passes_class_b_of_r112_and_fails_class_c_where_it_should() -> None:
+def test_a_beam_made_of_formulas_passes_class_b_of_r112_and_fails_class_c_where_it_should():
     assert passes(check_beam(low_beam(), "r112-passing-b"))
     failed = {each.id for each in check_beam(low_beam(), "r149-passing-c") if each.verdict == "fail"}
     assert failed == {"75R", "Segment 10 and below"}  # less light close below the cut-off than class C wants, too much in the foreground

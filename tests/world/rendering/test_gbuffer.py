@@ -108,7 +108,7 @@ def test_auto_falls_back_to_rays_with_a_warning(monkeypatch):
         face_source("opengl")
 
 
-def test_embree_forgets_a_body_with_its_last_use() -> None:
+def test_embree_forgets_a_body_with_its_last_use():
     """It has no room for more than about 1,000, which a run of many scenes reaches before the garbage collector comes."""
 
     def scenes() -> int:
@@ -152,7 +152,7 @@ def test_each_pixel_sees_a_face_that_its_ray_goes_through(source):
     assert min(float(each.barycentric.min()) for each in hits) >= -1e-4
 
 
-def test_bodies_cast_at_together_are_met_as_alone() -> None:
+def test_bodies_cast_at_together_are_met_as_alone():
     """Far from the world's origin, turned, from within some of them, which one sees out of, and with sheets among them."""
     generator = torch.Generator().manual_seed(5)
     places = torch.rand(12, 6, generator=generator, dtype=torch.float64)

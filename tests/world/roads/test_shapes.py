@@ -9,7 +9,6 @@ from pydantic import TypeAdapter, ValidationError
 from scipy.signal import welch
 
 from luxloop.world.opencrg import Crg
-from luxloop.world.roads.base import Road
 from luxloop.world.roads.scan import WHEELS_M, OpenCrgRoad
 from luxloop.world.roads.shapes import (
     GEOMETRIC_MEAN_M3,
@@ -40,7 +39,7 @@ def density(roughness_class: str, frequency: np.ndarray) -> np.ndarray:
 
 
 @each_kind
-def test_finite_and_level_under_the_vehicle(road: Road) -> None:
+def test_finite_and_level_under_the_vehicle(road):
     z = road.z(np.linspace(-10, 130, 300)[:, None], np.linspace(-30, 30, 100))
     assert z.shape == (300, 100) and z.dtype == np.float64
     assert np.isfinite(z).all()
@@ -49,7 +48,7 @@ def test_finite_and_level_under_the_vehicle(road: Road) -> None:
 
 
 @each_kind
-def test_mesh_lies_on_the_road_with_normals_up(road: Road) -> None:
+def test_mesh_lies_on_the_road_with_normals_up(road):
     mesh = road_mesh(road)
     assert 150_000 <= len(mesh.faces) <= 400_000 or (isinstance(road, Flat) and len(mesh.faces) < 10_000)
     np.testing.assert_array_equal(mesh.vertices[:, 2], road.z(mesh.vertices[:, 0], mesh.vertices[:, 1]))
@@ -57,7 +56,7 @@ def test_mesh_lies_on_the_road_with_normals_up(road: Road) -> None:
     assert_allclose(mesh.bounds[:, :2], np.stack([SCENE_X_M, SCENE_Y_M], axis=1))
 
 
-def test_heights_are_what_the_keys_say() -> None:
+def test_heights_are_what_the_keys_say():
     assert Grade(grade_percent=2, crossfall_percent=3, start_x_m=10, curve_m=4).z(20.0, 1.0) == pytest.approx(0.02 * 8 + 0.03)
     bumps = Bumps(lowest_m=-0.02, highest_m=0.05)
     z = bumps.z(*np.meshgrid(np.linspace(12, 22, 101), np.linspace(-2, 2, 41)))
@@ -73,7 +72,7 @@ def test_heights_are_what_the_keys_say() -> None:
 
 
 @pytest.mark.parametrize("direction", [(1.0, 0.0), (0.0, 1.0), (np.sqrt(0.5), np.sqrt(0.5))], ids=["x", "y", "diagonal"])
-def test_sections_have_the_density_of_their_class(direction: tuple[float, float]) -> None:
+def test_sections_have_the_density_of_their_class(direction):
     spacing = 1 / 8
     along = np.arange(0.0, 512.0, spacing)
     densities = []
@@ -99,7 +98,7 @@ def scan(path: Path, **changes: object) -> Path:
     return path
 
 
-def test_a_short_scan_lies_level_under_the_symbol_and_fades(tmp_path: Path) -> None:
+def test_a_short_scan_lies_level_under_the_symbol_and_fades(tmp_path):
     road = OpenCrgRoad(file=str(scan(tmp_path / "short.crg")))
     x = np.linspace(12.5, 21.5, 200)
     # The mean plane takes a little of the ten waves' slope with it: 3 A / (10 pi) at the ends, 1.9 mm.
@@ -113,7 +112,7 @@ def test_a_short_scan_lies_level_under_the_symbol_and_fades(tmp_path: Path) -> N
     assert len(mesh.faces) <= 400_000
 
 
-def test_a_heading_turns_the_scan_about_its_place(tmp_path: Path) -> None:
+def test_a_heading_turns_the_scan_about_its_place(tmp_path):
     path = str(scan(tmp_path / "short.crg"))
     straight = OpenCrgRoad(file=path, u_m=736.0, v_m=0.3)
     x, y = np.meshgrid(np.linspace(15, 19, 40), np.linspace(-1.0, 0.9, 20))
@@ -126,7 +125,7 @@ def test_a_heading_turns_the_scan_about_its_place(tmp_path: Path) -> None:
     assert_allclose([backwards.x_m, backwards.y_m], [[9.0, 19.0], [-1.7, 1.7]])
 
 
-def test_a_long_scan_is_seen_from_its_wheels(tmp_path: Path) -> None:
+def test_a_long_scan_is_seen_from_its_wheels(tmp_path):
     u, v = np.arange(0.0, 80.0, 0.1), np.linspace(-3, 3, 7)
     z = 0.05 * u[:, None] - 0.01 * v + 0.002 * np.maximum(u - 40, 0)[:, None] ** 2
     write_crg(tmp_path / "hill.crg", Crg(z=z, v=v, road={"reference_line_increment": 0.1}), "KDBI")
@@ -135,7 +134,7 @@ def test_a_long_scan_is_seen_from_its_wheels(tmp_path: Path) -> None:
     assert_allclose(road.z([10.0, 17.0, 20.0], 0.5), [0.0, 0.002 * 49, 0.002 * 100], atol=1e-9)
 
 
-def test_bad_roads_say_what_is_wrong(tmp_path: Path) -> None:
+def test_bad_roads_say_what_is_wrong(tmp_path):
     path = scan(tmp_path / "short.crg")
     with refusal(r"road.u_m = 5 is not on the scan .*short.crg; give a value from 730 to 740"):
         OpenCrgRoad(file=str(path), u_m=5.0).z(0, 0)
@@ -154,7 +153,7 @@ def test_bad_roads_say_what_is_wrong(tmp_path: Path) -> None:
             adapter.validate_python(bad)
 
 
-def test_class_values_are_those_of_the_standard() -> None:
+def test_class_values_are_those_of_the_standard():
     # RMS of class A over 0.011 to 2.83 cycles/m is 3.8 mm: the check against the many wrong tables in circulation.
     n = np.geomspace(0.011, 2.83, 20_000)
     assert np.sqrt(np.trapezoid(density("A", n), n)) == pytest.approx(3.81e-3, rel=1e-3)

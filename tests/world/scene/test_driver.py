@@ -37,7 +37,7 @@ def driven_by(controls: list[tuple[float, float, int]], speed_m_s: float) -> Veh
 
 
 @given(CONTROLS, st.floats(0, FASTEST_M_S))
-def test_speed_acceleration_and_curvature_keep_their_limits(controls: list[tuple[float, float, int]], speed_m_s: float) -> None:
+def test_speed_acceleration_and_curvature_keep_their_limits(controls, speed_m_s):
     course = driven_by(controls, speed_m_s).course  # which is valid: times ascend
     speeds, curvatures, times = (np.array([getattr(each, key) for each in course]) for key in ("speed_m_s", "curvature_1_m", "time_s"))
     rounding = 1e-6 * RATE_HZ  # entries have six decimals
@@ -47,7 +47,7 @@ def test_speed_acceleration_and_curvature_keep_their_limits(controls: list[tuple
     assert abs(curvatures).max() <= LARGEST_1_M and (speeds**2 * abs(curvatures)).max() <= LATERAL_M_S2 + 1e-5
 
 
-def test_a_course_that_is_taken_over_stays_as_it_is() -> None:
+def test_a_course_that_is_taken_over_stays_as_it_is():
     course = tuple(CourseParams(time_s=t, speed_m_s=v) for t, v in ((0.0, 0.0), (2.0, 8.0), (4.0, 4.0)))
     assert taken_over(course, 3.0) == (*course[:2], CourseParams(time_s=3.0, speed_m_s=6.0))
     assert taken_over(course, 2.0) == course[:2] and taken_over(course, 9.0) == course
@@ -70,7 +70,7 @@ def on_and_on(vehicle: VehicleParams, road: Road, steps: int) -> tuple[Motion, f
 
 @settings(max_examples=20)
 @given(CONTROLS, st.floats(1, 40), st.sampled_from([Flat(), Iso8608(roughness_class="C")]))
-def test_the_past_stays_to_the_bit_and_nothing_jumps(controls: list[tuple[float, float, int]], speed_m_s: float, road: Road) -> None:
+def test_the_past_stays_to_the_bit_and_nothing_jumps(controls, speed_m_s, road):
     vehicle = driven_by([(0.0, 0.0, 2), *controls], speed_m_s)
     steps = 2 + sum(each for *_, each in controls)
     motion, body_m, ground_m = on_and_on(vehicle, road, steps)

@@ -65,7 +65,7 @@ def patches(road=ROAD) -> RoadPatches:
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 200.0])
-def test_the_road_is_there_ahead_wherever_the_vehicle_heads(yaw_deg: float) -> None:
+def test_the_road_is_there_ahead_wherever_the_vehicle_heads(yaw_deg):
     T = pose_from_degrees((300.0, -70.0, 0.0), yaw_deg=yaw_deg)
     corners = {tuple(vertices(each)[:, :2].min(0).round(6)) for each in near(patches(Flat()), T)}
     for ahead, left in np.random.default_rng(0).uniform((0, -30), (80, 30), (200, 2)):
@@ -73,7 +73,7 @@ def test_the_road_is_there_ahead_wherever_the_vehicle_heads(yaw_deg: float) -> N
         assert (SIDE_M * np.floor(x / SIDE_M), SIDE_M * np.floor(y / SIDE_M)) in corners
 
 
-def test_they_lie_on_the_road_finer_where_it_is_near_and_with_skirts() -> None:
+def test_they_lie_on_the_road_finer_where_it_is_near_and_with_skirts():
     T = pose_from_degrees((100.0, 40.0, 0.0), yaw_deg=45.0)
     for each in near(patches(), T):
         x, y, z = vertices(each).T

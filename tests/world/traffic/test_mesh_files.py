@@ -102,14 +102,14 @@ def written(tree: Tree, file: Path) -> Path:
 
 
 @pytest.mark.parametrize("case", RIGHT)
-def test_corners_are_where_the_specification_has_them(case: str, tmp_path: Path) -> None:
+def test_corners_are_where_the_specification_has_them(case, tmp_path):
     os.mkfifo(tmp_path / "pipe")
     mesh = read_nodes(written(RIGHT[case], tmp_path / "a.gltf"))["car"]
     assert mesh.bounds == pytest.approx(np.array([[0, 0, 0], [4, 2, 0]]), abs=1e-4)  # quantised to 4 m / 32767
     assert mesh.area == pytest.approx(8, abs=1e-3) and (mesh.face_normals[:, 2] > 0.999).all()
 
 
-def test_buffers_are_regular_files_in_the_folder_of_their_file(tmp_path: Path) -> None:
+def test_buffers_are_regular_files_in_the_folder_of_their_file(tmp_path):
     folder = tmp_path / "a folder"
     folder.mkdir()
     data = CORNERS.tobytes() + FACES.tobytes()
@@ -123,7 +123,7 @@ def test_buffers_are_regular_files_in_the_folder_of_their_file(tmp_path: Path) -
             read_nodes(written(plate(uri=uri), folder / "a.gltf"))
 
 
-def test_other_meshes_open_no_other_file(tmp_path: Path) -> None:
+def test_other_meshes_open_no_other_file(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "a.obj").write_text("mtllib pipe\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nusemtl paint\nf 1 2 3\nusemtl glass\nf 1 2 4\n")
     assert set(read_nodes(tmp_path / "a.obj")) == {"paint", "glass"}
@@ -132,7 +132,7 @@ def test_other_meshes_open_no_other_file(tmp_path: Path) -> None:
     assert len(read_nodes(tmp_path / "a.ply")) == 1
 
 
-def test_parts_of_several_materials_are_named_after_these(tmp_path: Path) -> None:
+def test_parts_of_several_materials_are_named_after_these(tmp_path):
     tree = plate()
     (primitive,) = tree["meshes"][0]["primitives"]
     tree["meshes"][0]["primitives"] = [primitive | more for more in ({"material": 1}, {"material": 0}, {"material": 0}, {})]
@@ -176,7 +176,7 @@ def packed() -> Tree:
         (of_corners(CORNERS * np.float32("nan")), "not numbers"),
     ],
 )
-def test_gltf_that_cannot_be_read_as_meant_is_refused(tree: Tree, words: str, tmp_path: Path) -> None:
+def test_gltf_that_cannot_be_read_as_meant_is_refused(tree, words, tmp_path):
     with refusal(rf"a\.gltf: .*{words}") as error:
         read_nodes(written(tree, tmp_path / "a.gltf"))
     assert "\n" not in str(error.value)

@@ -57,7 +57,7 @@ def test_the_same_seed_gives_the_same_traffic_and_a_longer_drive_the_same_at_fir
     assert all((long[name].appears_s or 0) >= 10 for name in later)
 
 
-def test_round_a_bend_everybody_keeps_to_the_lane(motion: Motion):
+def test_round_a_bend_everybody_keeps_to_the_lane(motion):
     x, y, yaw = motion.states[::20, :3].T
     way = np.stack([x + motion.rear_x_m * np.cos(yaw), y + motion.rear_x_m * np.sin(yaw)])
     left, checked = np.stack([-np.sin(yaw), np.cos(yaw)]), 0
@@ -79,7 +79,7 @@ def test_round_a_bend_everybody_keeps_to_the_lane(motion: Motion):
     assert checked >= 10
 
 
-def test_nothing_is_ever_in_the_own_way(motion: Motion):
+def test_nothing_is_ever_in_the_own_way(motion):
     times, led = np.arange(0, DRIVE_S, 0.1), 0
     for seed in range(20):
         for item in along(seed):

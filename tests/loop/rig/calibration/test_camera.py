@@ -1,7 +1,5 @@
 """The camera by itself: response, board, lens and vignetting."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -16,7 +14,7 @@ from tests.refusal import refusal
 
 
 @pytest.mark.parametrize(("gamma", "levels", "black"), [(1.0, 4095, 64.0), (2.2, 255, 3.0)])
-def test_response_is_found_from_exposures(gamma: float, levels: int, black: float) -> None:
+def test_response_is_found_from_exposures(gamma, levels, black):
     rng = np.random.default_rng(0)
     scene = rng.uniform(0.02, 1.3, (60, 80))
     times = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8)
@@ -33,13 +31,13 @@ def test_response_is_found_from_exposures(gamma: float, levels: int, black: floa
     assert (np.diff(found) > 0).all()
 
 
-def test_too_short_a_series_is_told() -> None:
+def test_too_short_a_series_is_told():
     frames = [np.full((20, 20), 100.0), np.full((20, 20), 200.0)]
     with refusal("at least three exposures"):
         response_curve(frames, (0.5, 1.0), 255)
 
 
-def test_board_is_printed_at_its_size_and_read_again(tmp_path: Path) -> None:
+def test_board_is_printed_at_its_size_and_read_again(tmp_path):
     board = BoardParams()
     print_board(tmp_path / "board.png", board, "a4")
     page = Picture.open(tmp_path / "board.png")
@@ -53,7 +51,7 @@ def test_board_is_printed_at_its_size_and_read_again(tmp_path: Path) -> None:
     assert (tmp_path / "board.pdf").read_bytes().startswith(b"%PDF")
 
 
-def test_corners_are_sharp_in_a_tilted_view() -> None:
+def test_corners_are_sharp_in_a_tilted_view():
     board = BoardParams()
     drawn = picture(board, 150)
     high, wide = drawn.shape
@@ -69,14 +67,14 @@ def test_corners_are_sharp_in_a_tilted_view() -> None:
     assert np.sqrt(((found.pixels - true) ** 2).sum(1).mean()) < 0.1
 
 
-def test_too_large_a_board_and_another_format_are_refused(tmp_path: Path) -> None:
+def test_too_large_a_board_and_another_format_are_refused(tmp_path):
     with refusal("a3"):
         print_board(tmp_path / "board.pdf", BoardParams(square_mm=40), "a4")
     with refusal(r"\.pdf or a \.png"):
         print_board(tmp_path / "board.svg", BoardParams(), "a4")
 
 
-def test_lens_is_found_within_its_uncertainty() -> None:
+def test_lens_is_found_within_its_uncertainty():
     camera = CameraModel(640, 480, np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]]))
     scale = (900 / 320) ** 2
     params = LensParams(model="opencv", coefficients=tuple(each * scale**k for k, each in enumerate(BROWN, 1)))
@@ -89,7 +87,7 @@ def test_lens_is_found_within_its_uncertainty() -> None:
     np.testing.assert_allclose(found.project(found.rays(u, v)), np.stack([u, v], 1), atol=1e-4)
 
 
-def test_vignetting_is_found() -> None:
+def test_vignetting_is_found():
     true = np.array([-0.3, 0.05, -0.02])
     shade = brightness(true, 120, 160)
     flat = 0.7 * shade + 0.002 * np.random.default_rng(0).standard_normal(shade.shape)

@@ -51,7 +51,7 @@ def shown(values: Mapping[str, float], blur_px: float = 0.0) -> list[RecordedExp
     return found
 
 
-def test_values_are_found_with_their_uncertainty() -> None:
+def test_values_are_found_with_their_uncertainty():
     true = {"camera.pitch_deg": 3.2, "objects[0].albedo": 0.23}
     found = fit(
         scenario_with,
@@ -66,7 +66,7 @@ def test_values_are_found_with_their_uncertainty() -> None:
     assert found.after["ssim"] > found.before["ssim"]
 
 
-def test_uncertainty_covers_what_is_not_fitted_and_the_residual_tells_of_it() -> None:
+def test_uncertainty_covers_what_is_not_fitted_and_the_residual_tells_of_it():
     true = {"camera.x_m": -1.55, "camera.roll_deg": 0.3}
     found = fit(scenario_with, shown(true), {"camera.x_m": 0.1, "camera.z_m": 0.05})
     left = {"camera.x_m": found.values["camera.x_m"] + 1.55, "camera.z_m": found.values["camera.z_m"] - 1.35}
@@ -79,6 +79,6 @@ def test_uncertainty_covers_what_is_not_fitted_and_the_residual_tells_of_it() ->
     ("key", "told"),
     [("camera.pich_deg", "no such key"), ("headlight.model", "is 'hd84', not a number")],
 )
-def test_what_cannot_be_fitted_is_named(key: str, told: str) -> None:
+def test_what_cannot_be_fitted_is_named(key, told):
     with refusal(told):
         fit(scenario_with, shown({}), {key: 0.1})

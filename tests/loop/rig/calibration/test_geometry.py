@@ -1,7 +1,6 @@
 """Camera, screen and lamp are found from what is seen; a calibration's file holds them."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,7 +35,7 @@ def off(pose: Pose) -> Pose:
     return Pose(pose.turn + 0.02, pose.place + 0.1)
 
 
-def test_lamp_and_screen_are_found_within_their_uncertainty() -> None:
+def test_lamp_and_screen_are_found_within_their_uncertainty():
     at = screen(5.0)
     found = adjust(CAMERA, off(at), off(LAMP), seen(at, 0.03))
     for pose, true, std in ((found.lamp, LAMP, found.std["lamp"]), (found.screen, at, found.std["screen"])):
@@ -48,7 +47,7 @@ def test_lamp_and_screen_are_found_within_their_uncertainty() -> None:
 
 
 @pytest.mark.parametrize("wrong", ["data sheet", "screen", "focal length"])
-def test_uncertainty_covers_what_is_assumed(wrong: str) -> None:
+def test_uncertainty_covers_what_is_assumed(wrong):
     at, camera = screen(5.0), CAMERA
     given = seen(at, 0.003, board=wrong == "data sheet")
     assumed = off(at) if wrong == "data sheet" else at
@@ -65,7 +64,7 @@ def test_uncertainty_covers_what_is_assumed(wrong: str) -> None:
     assert found.std["lamp"].max() < 0.2
 
 
-def test_intensity_follows_from_luminance() -> None:
+def test_intensity_follows_from_luminance():
     geometry = Geometry(CAMERA, screen(5.0, 0.0), LAMP)
     factor = candela_factor(geometry, (480, 640), lambda cos: np.full_like(cos, 0.5))
     point = geometry.on_screen(np.array(320.5), np.array(240.5))
@@ -82,7 +81,7 @@ def calibration() -> Calibration:
     return Calibration(camera, linear_response(255, 4), np.array([-0.1, 0, 0]), screen(5.0), {"left hires": LAMP}, {"boards": 0.03})
 
 
-def test_file_holds_a_calibration(tmp_path: Path) -> None:
+def test_file_holds_a_calibration(tmp_path):
     save(tmp_path / "rig.npz", calibration())
     found = load(tmp_path / "rig.npz")
     assert_allclose(found.camera.values, CAMERA.values)
@@ -105,7 +104,7 @@ def test_file_holds_a_calibration(tmp_path: Path) -> None:
         ("header", np.frombuffer(b"{}", np.uint8)),
     ],
 )
-def test_damaged_files_are_told_in_a_sentence(tmp_path: Path, name: str, value: np.ndarray) -> None:
+def test_damaged_files_are_told_in_a_sentence(tmp_path, name, value):
     save(tmp_path / "rig.npz", calibration())
     with np.load(tmp_path / "rig.npz") as arrays:
         np.savez(tmp_path / "bad.npz", **{**arrays, name: value})

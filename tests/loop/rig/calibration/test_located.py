@@ -22,7 +22,7 @@ def pictures(noise: float) -> tuple[list[Array], Array, Array]:
     return found, row, col
 
 
-def test_each_camera_pixel_reads_its_place_and_centres_follow() -> None:
+def test_each_camera_pixel_reads_its_place_and_centres_follow():
     light, row, col = pictures(0.01)
     read_row, read_col, valid = decode(light, ROWS, COLS, 0.01)
     inside = (row > 0.7) & (row < ROWS - 0.7) & (col > 0.7) & (col < COLS - 0.7)
@@ -43,7 +43,7 @@ def test_each_camera_pixel_reads_its_place_and_centres_follow() -> None:
     assert len(patterns(332, 1024)) == 30
 
 
-def test_maps_follow_perspective_and_distortion() -> None:
+def test_maps_follow_perspective_and_distortion():
     rng = np.random.default_rng(0)
     x, y = rng.uniform(0, 1000, (2, 4000))
 
@@ -60,7 +60,7 @@ def test_maps_follow_perspective_and_distortion() -> None:
     np.testing.assert_allclose(chart.jacobian(*at)[:, 0], by_x, atol=1e-3)
 
 
-def test_strays_do_not_bend_a_map() -> None:
+def test_strays_do_not_bend_a_map():
     rng = np.random.default_rng(0)
     x, y = rng.uniform(0, 100, (2, 2000))
     u, v = 2 * x + 5, 2 * y - 3

@@ -17,7 +17,7 @@ from tests.refusal import refusal
 GOAL = 0.03  # of the request; what is left is the camera's noise, 1 to 2 %, and its pixels' width at edges
 
 
-def test_lens_response_vignetting_and_other_light_are_taken_off() -> None:
+def test_lens_response_vignetting_and_other_light_are_taken_off():
     scenario, lamp = wall(ambient_lx=100.0, gamma=2.2), module()
     pinhole = CameraModel.of(scenario.camera)
     lens = pinhole.with_values(np.array([*pinhole.values[:4], -0.8, 0.4, 0.002, -0.001, 0.0]))
@@ -39,7 +39,7 @@ def test_lens_response_vignetting_and_other_light_are_taken_off() -> None:
     assert reader.coverage == 1 and reader.saturation(picture) == 0
 
 
-def test_colour_is_kept_and_its_luminance_is_the_light() -> None:
+def test_colour_is_kept_and_its_luminance_is_the_light():
     scenario, lamp = wall(), module()
     setup = simulated_setup(scenario, [lamp])
     reader = Digitiser.of(calibration(setup.camera, lamp), lamp.name, LAMP)
@@ -53,7 +53,7 @@ def test_colour_is_kept_and_its_luminance_is_the_light() -> None:
     assert_close(luminous(red), 0.2126 * reader.texture(grey))
 
 
-def test_what_does_not_fit_is_refused() -> None:
+def test_what_does_not_fit_is_refused():
     scenario, lamp = wall(), module()
     known = calibration(scenario.camera, lamp)
     reader = Digitiser.of(known, lamp.name, LAMP)
@@ -70,7 +70,7 @@ def test_what_does_not_fit_is_refused() -> None:
         Digitiser.of(calibration(aside, lamp), lamp.name, LAMP)
 
 
-def test_late_light_follows_darkness_in_its_order() -> None:
+def test_late_light_follows_darkness_in_its_order():
     dark, first, second = (torch.full((2, 3), float(k)) for k in range(3))
     beam = Beam(2, dark)
     came = [beam.take(each) for each in (first, None, second)]

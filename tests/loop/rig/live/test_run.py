@@ -11,8 +11,8 @@ from luxloop.loop.rig.calibration.calibrate import Calibration, save
 from luxloop.loop.rig.calibration.shots import linear_response
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.world.lamps.presets import idealised
-from tests.loop.conftest import Lux, assert_one_sentence
-from tests.loop.rig.conftest import Process, Start, free_port
+from tests.loop.conftest import assert_one_sentence
+from tests.loop.rig.conftest import Process, free_port
 from tests.loop.rig.live.walls import calibration, module, wall
 
 PIXELS = 332 * 64
@@ -30,7 +30,7 @@ def rig_file(process: Process, folder: Path, more: str = "") -> str:
     return process.file(folder, '[calibration]\nfile = "rig.npz"\n' + more)
 
 
-def test_a_real_lamp_lights_the_simulated_world(small_rig: Start, lux: Lux, tmp_path: Path) -> None:
+def test_a_real_lamp_lights_the_simulated_world(small_rig, lux, tmp_path):
     save(tmp_path / "rig.npz", of_lamp())
     port = free_port(socket.SOCK_DGRAM)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as platform:
@@ -62,9 +62,7 @@ def test_a_real_lamp_lights_the_simulated_world(small_rig: Start, lux: Lux, tmp_
         ("[mark]\nu_px = 1\nv_px = 1\nwidth_px = 9\nheight_px = 9\n", 100.0, "mark: lies in the light that is digitised"),
     ],
 )
-def test_what_does_not_fit_is_told_in_a_sentence(
-    small_rig: Start, lux: Lux, tmp_path: Path, more: str, scale: float | None, told: str
-) -> None:
+def test_what_does_not_fit_is_told_in_a_sentence(small_rig, lux, tmp_path, more, scale, told):
     save(tmp_path / "rig.npz", of_lamp(scale))
     code, _, error = lux("run", "small.toml", "--rig", rig_file(small_rig(PIXELS), tmp_path, more), "--arm", "--out", "runs/live", *GIVEN)
     assert code == 2 and told in error and not (tmp_path / "runs/live").exists()

@@ -88,7 +88,7 @@ def rig(lux: Lux, tmp_path: Path) -> Iterator[SimulatedRigProcess]:
         yield started
 
 
-def test_a_beam_is_digitised_within_three_percent_and_no_frame_is_wrong(rig: SimulatedRigProcess, lux: Lux) -> None:
+def test_a_beam_is_digitised_within_three_percent_and_no_frame_is_wrong(rig, lux):
     """With lost packets, jitter, other light and a black level. The luxmeter is at a known place, E = I cos / d^2 = I x / d^3."""
     place = torch.tensor([SCREEN_M, 0.1, -0.05], dtype=torch.float64)  # m from the lamp
     tangents = (place / place[0])[:, None]

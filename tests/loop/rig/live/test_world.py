@@ -10,11 +10,11 @@ from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load, validate
 from luxloop.world.scene.vehicle import LateBody
-from tests.loop.conftest import SMALL, Lux, assert_one_sentence
+from tests.loop.conftest import SMALL, assert_one_sentence
 from tests.refusal import refusal
 
 
-def test_the_world_is_lit_by_measured_light() -> None:
+def test_the_world_is_lit_by_measured_light():
     """With the texture that the matrix would give, and with half of it."""
     simulated = prepare(validate(SMALL, "small"))
     digitised = prepare(validate({**SMALL, "modules": {"left": {"source": "digitised"}}}, "small"))
@@ -32,7 +32,7 @@ def test_the_world_is_lit_by_measured_light() -> None:
     torch.testing.assert_close(found, 0.5 * wanted, rtol=1e-3, atol=1e-4 * float(wanted.max()))
 
 
-def test_the_body_is_late_and_the_way_is_not() -> None:
+def test_the_body_is_late_and_the_way_is_not():
     keys = ("steps=4", "modules.left.source=digitised", "modules.left.latency_s=0.1")
     now, late = (load("driving", [*keys, f"modules.left.delay_body={each}", "renderer=raycast"]) for each in ("false", "true"))
     driven, delayed = (prepare(each).plant for each in (now, late))
@@ -44,7 +44,7 @@ def test_the_body_is_late_and_the_way_is_not() -> None:
     assert felt[0] and felt[0] == felt[1]
 
 
-def test_without_a_rig_it_is_checked_and_not_run(lux: Lux) -> None:
+def test_without_a_rig_it_is_checked_and_not_run(lux):
     given = ("small.toml", "--set", "modules.left.source=digitised")
     code, out, _ = lux("check", *given)
     assert code == 0 and "modules.left: is digitised from a real lamp; run it with `luxloop run NAME --rig FILE`" in out
@@ -69,7 +69,7 @@ def test_without_a_rig_it_is_checked_and_not_run(lux: Lux) -> None:
         ),
     ],
 )
-def test_mistakes_are_told_in_a_sentence(lux: Lux, keys: list[str], told: str) -> None:
+def test_mistakes_are_told_in_a_sentence(lux, keys, told):
     code, _, error = lux("check", "small.toml", "--set", *keys)
     assert code == 2 and told in error
     assert_one_sentence(error)

@@ -19,7 +19,7 @@ def lit() -> RigScene:
     return RigScene(scenario_of("camera.width_px=480", "camera.height_px=360"), faults_of())
 
 
-def test_its_corners_are_where_it_is_held(lit: RigScene) -> None:
+def test_its_corners_are_where_it_is_held(lit):
     shown = BoardView.of(BOARD, lit)
     camera, found = lit.lens.camera, 0
     for pose in range(0, 20, 4):
@@ -34,14 +34,14 @@ def test_its_corners_are_where_it_is_held(lit: RigScene) -> None:
     assert found >= 4
 
 
-def test_it_is_taken_away_for_light(lit: RigScene) -> None:
+def test_it_is_taken_away_for_light(lit):
     shown = BoardView.of(BOARD, lit)
     in_hand, on_screen = shown.at(5.0, None), shown.at(20.0, 20.0 - LAID_S)
     assert in_hand is not None and on_screen is not None and not np.array_equal(in_hand, on_screen)
     assert shown.at(20.0, 19.9) is None
 
 
-def test_a_luxmeter_shows_what_falls_on_the_road(lit: RigScene) -> None:
+def test_a_luxmeter_shows_what_falls_on_the_road(lit):
     lux = lit.world.lit(0.0, direct=True).light([torch.ones(each.headlight.n_pixels) for each in lit.modules])[0].numpy()
     read = readings(lit)
     assert len(read) == 9

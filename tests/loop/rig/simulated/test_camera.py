@@ -18,7 +18,7 @@ from luxloop.perception.camera import CameraParams
 from tests.loop.rig.simulated.conftest import DARK, faults_of, light, scenario_of
 
 
-def test_a_row_takes_of_each_light_what_falls_into_its_exposure() -> None:
+def test_a_row_takes_of_each_light_what_falls_into_its_exposure():
     starts_s = 10.0 + 0.02 * np.arange(40) / 40
     segments = [Segment(9.0, 10.012, None), Segment(10.012, 10.03, None), Segment(10.03, 11.0, None)]
     each = np.stack([shares(segment, starts_s, 0.015) for segment in segments])
@@ -29,7 +29,7 @@ def test_a_row_takes_of_each_light_what_falls_into_its_exposure() -> None:
     assert (shares(segments[0], np.full(40, 10.0), 0.015) == np.float32(0.8)).all(), "of a global shutter all rows are alike"
 
 
-def test_flicker_is_integrated_over_the_exposure() -> None:
+def test_flicker_is_integrated_over_the_exposure():
     starts_s, params = 1234.5 + 0.001 * np.arange(30), FlickerParams(depth=0.4)
     moments = starts_s[:, None] + 0.003 * (np.arange(3000) + 0.5) / 3000
     assert abs(flicker(params, starts_s, 0.003) - (1 + 0.4 * np.cos(200 * math.pi * moments)).mean(1)).max() < 1e-4
@@ -37,7 +37,7 @@ def test_flicker_is_integrated_over_the_exposure() -> None:
 
 
 @pytest.mark.parametrize(("bits", "kind", "dtype"), [(12, "png", np.uint16), (8, "png", np.uint8), (8, "jpeg", np.uint8)])
-def test_frames_are_coded_as_said(bits: int, kind: str, dtype: type) -> None:
+def test_frames_are_coded_as_said(bits, kind, dtype):
     ramp = np.tile(np.linspace(0, 2**bits - 1, 160).astype(np.uint16), (120, 1))
     part = encode(ramp, bits, CameraErrorParams(encoding=kind))
     back = cv2.imdecode(np.frombuffer(part.body, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -45,7 +45,7 @@ def test_frames_are_coded_as_said(bits: int, kind: str, dtype: type) -> None:
     assert abs(back.astype(int) - ramp).max() <= (3 if kind == "jpeg" else 0)
 
 
-def test_response_has_gamma_and_black_level() -> None:
+def test_response_has_gamma_and_black_level():
     camera = CameraParams(noise=False)
     white = camera.saturation_e / (camera.exposure_s * camera.sensitivity_e_per_cd_s_m2)
     ramp = np.linspace(0, white, 50, dtype=np.float32)[None]
@@ -73,7 +73,7 @@ def taken(seconds: float, *keys: str) -> tuple[list[tuple[float, Part, FrameTrut
     return sent, camera
 
 
-def test_frames_come_late_in_order_or_not_at_all() -> None:
+def test_frames_come_late_in_order_or_not_at_all():
     keys = ("camera.rate_hz=50", "camera.latency_s=0.05", "camera.jitter_s=0.08", "camera.loss=0.5", "camera.readout_s=0.015")
     sent, camera = taken(1.0, *keys)
     late = [at_s - exposed.exposed_to_s for at_s, _, exposed in sent]
@@ -86,7 +86,7 @@ def test_frames_come_late_in_order_or_not_at_all() -> None:
     assert any(len(exposed.timecodes) > 1 for _, _, exposed in sent), "a rolling shutter mixes lights over the rows"
 
 
-def test_triggered_frames_show_one_light_each() -> None:
+def test_triggered_frames_show_one_light_each():
     sent, _ = taken(1.0, "camera.trigger=light", "camera.trigger_delay_s=0.002")
     assert len(sent) > 25, "of 50 lights, on a machine that is busy"
     codes = [exposed.timecodes for _, _, exposed in sent]

@@ -6,7 +6,6 @@ import shlex
 import shutil
 import signal
 import urllib.request
-from pathlib import Path
 
 import pytest
 
@@ -19,7 +18,7 @@ SMALL = "headlight.model=ssl-hd-lores camera.width_px=160 camera.height_px=120 c
 DOCUMENTED = re.findall(r"^luxloop (rig simulate .*)$", (ROOT / "docs" / "rig.md").read_text("utf-8"), re.M)
 
 
-def test_it_says_where_it_listens_and_ends_cleanly(tmp_path: Path) -> None:
+def test_it_says_where_it_listens_and_ends_cleanly(tmp_path):
     with SimulatedRigProcess(["flat", "--set", *SMALL.split()], tmp_path) as rig:
         assert set(rig.addresses) == {"light", "camera", "truth"}
         with urllib.request.urlopen(rig.addresses["camera"], timeout=10) as answer:
@@ -33,7 +32,7 @@ def test_it_says_where_it_listens_and_ends_cleanly(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", DOCUMENTED)
-def test_documented_commands_start_a_rig(command: str, tmp_path: Path) -> None:
+def test_documented_commands_start_a_rig(command, tmp_path):
     for name in re.findall(r"\w+\.toml", command):
         shutil.copy(examples()[name], tmp_path)
     with SimulatedRigProcess(shlex.split(command)[2:], tmp_path) as rig:
@@ -53,7 +52,7 @@ def test_documented_commands_start_a_rig(command: str, tmp_path: Path) -> None:
         (f"rig simulate flat {FREE} --set {SMALL} faults.lens.coefficients=[-9]", "lens.coefficients: [-9.0] fold the picture"),
     ],
 )
-def test_mistakes_are_one_sentence(arguments: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_mistakes_are_one_sentence(arguments, message, capsys):
     assert cli.main(shlex.split(arguments)) == cli.WRONG
     said = capsys.readouterr()
     assert message in said.err and said.err.count("\n") == 1 and not said.out

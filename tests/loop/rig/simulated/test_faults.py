@@ -1,7 +1,5 @@
 """Faults come from a file and from the command line, and mistakes in them are told."""
 
-from pathlib import Path
-
 import pytest
 
 from luxloop.loop.rig.simulated.faults import FaultParams, read
@@ -9,14 +7,14 @@ from luxloop.loop.scenario.shipped import examples
 from tests.refusal import refusal
 
 
-def test_a_file_and_changes_make_faults(tmp_path: Path) -> None:
+def test_a_file_and_changes_make_faults(tmp_path):
     (file := tmp_path / "mine.toml").write_text("[lens]\nblur_px = 1.0\n[camera]\nloss = 0.1\n")
     faults = read(file, ["faults.lens.veil=0.1", "faults.camera.loss=0.2", "faults.lens.coefficients=[-0.1]"])
     assert (faults.lens.blur_px, faults.lens.veil, faults.camera.loss, faults.lens.coefficients) == (1.0, 0.1, 0.2, (-0.1,))
     assert read(None) == FaultParams()
 
 
-def test_the_shipped_example_has_a_little_of_everything() -> None:
+def test_the_shipped_example_has_a_little_of_everything():
     faults = read(examples()["rig_faults.toml"])
     assert all(getattr(faults, table) != getattr(FaultParams(), table) for table in FaultParams.model_fields if table != "board")
 
@@ -30,7 +28,7 @@ def test_the_shipped_example_has_a_little_of_everything() -> None:
         ("lens", r"mine.toml: not valid TOML"),
     ],
 )
-def test_mistakes_are_told(text: str, message: str, tmp_path: Path) -> None:
+def test_mistakes_are_told(text, message, tmp_path):
     (file := tmp_path / "mine.toml").write_text(text)
     with refusal(message):
         read(file)

@@ -16,7 +16,7 @@ DIVISION = LensParams(model="division", coefficients=(-0.3,))
 PLACES = np.random.default_rng(0).uniform(-0.55, 0.55, (500, 2))
 
 
-def test_models_are_those_of_opencv() -> None:
+def test_models_are_those_of_opencv():
     k = np.array([*FISHEYE.coefficients, 0, 0])
     assert abs(cv2.fisheye.distortPoints(PLACES[:, None], np.eye(3), k)[:, 0] - distort(FISHEYE, PLACES)).max() < 1e-9
     radius = np.hypot(*PLACES.T)[:, None]
@@ -24,7 +24,7 @@ def test_models_are_those_of_opencv() -> None:
 
 
 @pytest.mark.parametrize("params", [BARREL, FISHEYE, DIVISION], ids=["opencv", "fisheye", "division"])
-def test_a_pixel_looks_where_opencv_says(params: LensParams) -> None:
+def test_a_pixel_looks_where_opencv_says(params):
     """Of a picture whose brightness is a place, which linear interpolation reproduces."""
     lens = Lens.of(params, CAMERA)
     focal = focal_px(CAMERA)
@@ -37,7 +37,7 @@ def test_a_pixel_looks_where_opencv_says(params: LensParams) -> None:
     assert abs(back - np.stack([u.ravel(), v.ravel()], 1)).max() < 0.02  # px: single precision, and OpenCV's 32 steps a pixel
 
 
-def test_light_is_spread_and_not_lost() -> None:
+def test_light_is_spread_and_not_lost():
     point = np.zeros((120, 160), np.float32)
     point[60, 80] = 1000
     seen = Lens.of(LensParams(blur_px=1.5, veil=0.2, veil_px=15), CAMERA).image(point)
@@ -48,7 +48,7 @@ def test_light_is_spread_and_not_lost() -> None:
     assert flat[60, 80] == pytest.approx(1, abs=1e-3) and flat[0, 0] == pytest.approx(0.6, abs=1e-3)
 
 
-def test_colours_part_towards_the_border() -> None:
+def test_colours_part_towards_the_border():
     lens = Lens.of(LensParams(chromatic_percent=1), CAMERA)
     lines = np.zeros((lens.camera.height_px, lens.camera.width_px), np.float32)
     column = lens.camera.width_px // 2 + 60
@@ -58,7 +58,7 @@ def test_colours_part_towards_the_border() -> None:
     assert found.min() < 0 < found.max(), "blue to the middle, red away from it"
 
 
-def test_a_lens_that_folds_the_picture_is_refused() -> None:
+def test_a_lens_that_folds_the_picture_is_refused():
     with refusal(r"lens.coefficients: \[-3.0\] fold the picture of the model opencv; give weaker"):
         Lens.of(LensParams(coefficients=(-3.0,)), CAMERA)
     with refusal(r"more than 3 times the camera's 160 x 120"):

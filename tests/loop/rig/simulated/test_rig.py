@@ -85,7 +85,7 @@ def looped(scenario_keys: Sequence[str] = (), *faults: str, ports: Ports = FREE)
             thread.join()
 
 
-def test_light_comes_back_as_pictures() -> None:
+def test_light_comes_back_as_pictures():
     with looped(("camera.exposure_s=0.01", *DARK)) as loop:
         loop.hold(200, 1, 0.3)
         loop.hold(100, 2, 0.3)
@@ -105,7 +105,7 @@ def test_light_comes_back_as_pictures() -> None:
         assert described["camera"]["width_px"] == 160 and np.shape(described["camera"]["matrix"]) == (3, 3)
 
 
-def test_it_is_dark_soon_after_the_loop_has_died() -> None:
+def test_it_is_dark_soon_after_the_loop_has_died():
     with looped((), "light.timeout_ms=100") as loop:
         loop.hold(255, 7, 0.2)
         last_s = time.monotonic()
@@ -116,7 +116,7 @@ def test_it_is_dark_soon_after_the_loop_has_died() -> None:
         assert eventually(lambda: loop.truth()["lit"]), "another loop may begin with any number"
 
 
-def test_lost_packets_never_light_a_part() -> None:
+def test_lost_packets_never_light_a_part():
     with looped(DARK, "light.packet_loss=0.2", "light.timeout_ms=1000") as loop:  # of twelve packets a frame one in fourteen comes whole
         for k in range(1, 60):
             loop.show(255 * (k % 2), k)
@@ -129,7 +129,7 @@ def test_lost_packets_never_light_a_part() -> None:
         assert loop.truth()["lit"] and loop.truth()["light_sum"] == loop.rig.rig_scene.pixels, "what is sent again is repaired"
 
 
-def test_a_vehicle_drives_and_tells_of_it() -> None:
+def test_a_vehicle_drives_and_tells_of_it():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ego:
         ego.bind(("127.0.0.1", 0))
         ego.settimeout(5)
@@ -155,7 +155,7 @@ def test_a_vehicle_drives_and_tells_of_it() -> None:
             assert loop.rig.rig_scene._lit[False].scene.vehicle.T_world_body[0, 3] > 1, "and the camera drives along"
 
 
-def test_addresses_that_are_taken_are_told(rig_scene: Any) -> None:
+def test_addresses_that_are_taken_are_told(rig_scene):
     with looped() as loop:
         for name, port in (("light", loop.rig.light.port), ("camera", loop.rig.pictures.port), ("truth", loop.rig.truth.server_address[1])):
             taken = {"light": 0, "camera": 0, "truth": 0, name: port}

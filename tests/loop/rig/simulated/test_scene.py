@@ -21,7 +21,7 @@ from tests.loop.rig.simulated.conftest import faults_of, light, scenario_of, see
 Images = Callable[..., np.ndarray]
 
 
-def test_without_faults_its_frames_are_the_plants(pattern: np.ndarray) -> None:
+def test_without_faults_its_frames_are_the_plants(pattern):
     scenario = scenario_of("camera.noise=false")
     rig_scene = RigScene(scenario, faults_of("camera.columns=1"))
     given = tuple(LampModule(each.name, each.headlight, each.T_body_headlight) for each in rig_scene.modules)
@@ -32,7 +32,7 @@ def test_without_faults_its_frames_are_the_plants(pattern: np.ndarray) -> None:
     assert abs(codes - expected).max() <= 1, "but for rounding: the lamp's light is added to the rest"
 
 
-def test_a_lamp_is_as_wrong_as_it_is_said_to_be(rig_scene: RigScene, pattern: np.ndarray, image_with: Images) -> None:
+def test_a_lamp_is_as_wrong_as_it_is_said_to_be(rig_scene, pattern, image_with):
     right = rig_scene.light(light(pattern), 0.0)
     assert np.allclose(image_with("lamp.scale=1.1"), 1.1 * right, rtol=1e-4)
     assert image_with("lamp.dead=0.5").sum() / right.sum() == pytest.approx(0.5, abs=0.1)
@@ -46,7 +46,7 @@ def test_a_lamp_is_as_wrong_as_it_is_said_to_be(rig_scene: RigScene, pattern: np
     assert np.allclose(image_with("light.gamma=2.0"), rig_scene.light(squared, 0.0), atol=1e-3)
 
 
-def test_modules_are_turned_and_dimmed(rig_scene: RigScene, pattern: np.ndarray) -> None:
+def test_modules_are_turned_and_dimmed(rig_scene, pattern):
     right = rig_scene.light(light(pattern), 0.0)
     dimmed = rig_scene.light(LightFrame(pattern, (1,), (ModuleCommand(intensity=0.25),)), 0.0)
     assert np.allclose(dimmed, right / 4, rtol=2e-2, atol=1e-3)
@@ -56,7 +56,7 @@ def test_modules_are_turned_and_dimmed(rig_scene: RigScene, pattern: np.ndarray)
     assert np.allclose(rig_scene.light(light(pattern), 0.0), right), "and go back"
 
 
-def test_a_glossy_screen_shines_in_the_mirror_direction() -> None:
+def test_a_glossy_screen_shines_in_the_mirror_direction():
     params = ScreenParams(gloss=2.0, gloss_width_deg=10)
     y = torch.linspace(-2, 2, 81)
     position = torch.stack([torch.full_like(y, 3.0), y, torch.zeros_like(y)])[:, None]
@@ -66,7 +66,7 @@ def test_a_glossy_screen_shines_in_the_mirror_direction() -> None:
     assert float(factor[0]) < 1.1 and torch.allclose(factor, factor.flip(0), rtol=1e-4)
 
 
-def test_a_lamp_pixel_is_seen_where_the_truth_says() -> None:
+def test_a_lamp_pixel_is_seen_where_the_truth_says():
     """The rig's matrix, coefficients and poses as OpenCV takes them, pixel centres at integer + 0.5."""
     keys = ["camera.width_px=320", "camera.height_px=240", "light.ambient_lx=0"]
     faults = faults_of(

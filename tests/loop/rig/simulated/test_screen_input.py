@@ -34,7 +34,7 @@ def showing(timeout_s: float, grids: list[tuple[int, int]] = GRIDS) -> Iterator[
         light.close()
 
 
-def test_pixels_are_those_that_were_sent_in_their_order() -> None:
+def test_pixels_are_those_that_were_sent_in_their_order():
     with showing(60.0) as (light, rig, timeline):
         begun_s = time.monotonic()
         for number in range(5):
@@ -49,7 +49,7 @@ def test_pixels_are_those_that_were_sent_in_their_order() -> None:
         assert rig.counts()["frames"] == 5
 
 
-def test_it_is_dark_without_word_of_the_loop_and_says_so() -> None:
+def test_it_is_dark_without_word_of_the_loop_and_says_so():
     with showing(1.0) as (light, _, timeline):
         began_s = last_s = time.monotonic()
         assert light.show(shine(1)) is None
@@ -64,13 +64,13 @@ def test_it_is_dark_without_word_of_the_loop_and_says_so() -> None:
         assert eventually(lambda: light.show(shine(1)) is None and timeline.state()["lit"]), "it is sent whole again"
 
 
-def test_a_picture_of_another_size_is_not_shown() -> None:
+def test_a_picture_of_another_size_is_not_shown():
     with showing(60.0, [(2, 3)]) as (light, rig, timeline):
         assert "has not shown it in time" in str(light.show(shine(1)))
         assert rig.counts()["refused"] == 1 and not timeline.state()["lit"]
 
 
-def test_it_comes_back_to_a_loop_that_has_gone() -> None:
+def test_it_comes_back_to_a_loop_that_has_gone():
     with showing(60.0) as (light, _, timeline):
         assert light.show(shine(1)) is None and timeline.state()["lit"]
         port = light.port

@@ -11,7 +11,7 @@ from tests.loop.rig.simulated.conftest import light
 ON, OFF = np.full(4, 255, np.uint8), np.zeros(4, np.uint8)
 
 
-def test_it_goes_out_when_nothing_comes() -> None:
+def test_it_goes_out_when_nothing_comes():
     timeline, before_s = Timeline(0.25), time.monotonic()  # a busy machine sleeps some tens of milliseconds longer
     assert timeline.state()["dark_since_s"] <= before_s
     timeline.show(light(ON, 1))
@@ -32,7 +32,7 @@ def test_it_goes_out_when_nothing_comes() -> None:
     assert timeline.state()["lit"], "the same light shines anew"
 
 
-def test_dark_frames_are_darkness() -> None:
+def test_dark_frames_are_darkness():
     timeline = Timeline(1.0)
     timeline.show(light(ON, 1))
     timeline.show(light(OFF, 2))
@@ -41,7 +41,7 @@ def test_dark_frames_are_darkness() -> None:
     assert first is not None and timeline.state()["dark_since_s"] == first
 
 
-def test_light_is_as_late_as_its_lamp() -> None:
+def test_light_is_as_late_as_its_lamp():
     timeline = Timeline(1.0, latency_s=0.02)
     asked_s = time.monotonic()
     timeline.show(light(ON, 1))

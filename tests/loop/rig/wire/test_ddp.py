@@ -23,7 +23,7 @@ def frame(seed: int, dtype: type = np.uint8) -> np.ndarray:
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_a_frame_comes_as_it_was_sent_in_any_order_of_packets(dtype: type) -> None:
+def test_a_frame_comes_as_it_was_sent_in_any_order_of_packets(dtype):
     sent, assembler = frame(0, dtype), Assembler(N)
     order = list(packets(sent, 7, (ModuleCommand(1.5, -0.25, 0.5),)))
     assert len(order) == 1 + -(-sent.nbytes // 1440)
@@ -38,20 +38,20 @@ def lit(assembler: Assembler, sent: Iterable[bytes]) -> list[LightFrame]:
     return [each for packet in sent if (each := assembler.take(packet))]
 
 
-def test_the_header_is_that_of_the_protocol() -> None:
+def test_the_header_is_that_of_the_protocol():
     *_, last = packets(np.arange(2000).astype(np.uint16), 2**32 + 3)
     assert last[:14] == bytes([0x51, 3, 0x24, 1, 0, 0, 0x0B, 0x40, 0x04, 0x60, 0, 0, 0, 3])
     assert last[14:16] == (2880 // 2).to_bytes(2, "big")
 
 
-def test_utilisations_survive_their_codes() -> None:
+def test_utilisations_survive_their_codes():
     u = np.linspace(-0.1, 1.1, 50, dtype=np.float32)
     for bits, gamma in ((8, 1.0), (16, 2.2)):
         back = ddp.utilisations_of(ddp.codes_of(u, bits, gamma), gamma)
         assert abs(back - u.clip(0, 1)).max() < 0.51 * gamma / (2**bits - 1)  # half a level
 
 
-def test_an_incomplete_frame_is_not_lit_and_repaired_by_the_next_sending() -> None:
+def test_an_incomplete_frame_is_not_lit_and_repaired_by_the_next_sending():
     assembler, first = Assembler(N), list(packets(frame(1), 1))
     assert [assembler.take(packet) for packet in (first[0], first[2])] == [None, None]
     again = [assembler.take(packet) for packet in first]
@@ -66,7 +66,7 @@ def test_an_incomplete_frame_is_not_lit_and_repaired_by_the_next_sending() -> No
     assert lit(assembler, packets(frame(0), 0)), "after a time-out numbers may begin anew"
 
 
-def test_a_mixing_lamp_lights_what_came_and_says_so() -> None:
+def test_a_mixing_lamp_lights_what_came_and_says_so():
     assembler = Assembler(N, mixed=True)
     for packet in packets(frame(1), 1):
         assembler.take(packet)
@@ -77,14 +77,14 @@ def test_a_mixing_lamp_lights_what_came_and_says_so() -> None:
     assert (mixed.codes[:1440] == frame(2)[:1440]).all() and (mixed.codes[1440:2880] == frame(1)[1440:2880]).all()
 
 
-def test_a_frame_without_its_commands_is_incomplete_where_modules_are_commanded() -> None:
+def test_a_frame_without_its_commands_is_incomplete_where_modules_are_commanded():
     assembler, command = Assembler(N), (ModuleCommand(intensity=0.2),)
     assert lit(assembler, packets(frame(1), 1))[0].commands is None
     assert lit(assembler, packets(frame(2), 2, command))[0].commands == command
     assert not lit(assembler, packets(frame(3), 3))
 
 
-def test_anything_else_is_refused() -> None:
+def test_anything_else_is_refused():
     good, noise = next(packets(frame(0), 1)), random.Random(1)
     bad = [b"", good[:13], good[:-1], good + b"x", good[:4] + b"\xff\xff\xff\xf0" + good[8:], good[:2] + b"\x01" + good[3:]]
     bad += [good[:4] + b"\0\0\0\1" + good[8:], *(noise.randbytes(noise.randrange(1500)) for _ in range(2000))]
@@ -132,7 +132,7 @@ class Strict(Receiver):
 
 
 @pytest.mark.parametrize("kind", [Wled, Strict])
-def test_receivers_of_others_light_every_frame_and_go_dark_at_the_end(kind: type[Receiver]) -> None:
+def test_receivers_of_others_light_every_frame_and_go_dark_at_the_end(kind):
     receiver = kind(N)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there:
         there.bind(("127.0.0.1", 0))
@@ -155,7 +155,7 @@ def test_receivers_of_others_light_every_frame_and_go_dark_at_the_end(kind: type
 
 
 @pytest.mark.parametrize("lost", [0, 2])
-def test_without_time_codes_a_frame_ends_where_the_next_begins(lost: int) -> None:
+def test_without_time_codes_a_frame_ends_where_the_next_begins(lost):
     assembler, second = Assembler(N), list(packets(frame(2)))
     (first,) = lit(assembler, packets(frame(1)))
     assert (first.codes == frame(1)).all()

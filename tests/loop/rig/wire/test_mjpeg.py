@@ -32,7 +32,7 @@ def watched(server: PictureServer, path: str = "/camera"):
     return answer
 
 
-def test_pictures_come_as_they_were_sent(server: PictureServer) -> None:
+def test_pictures_come_as_they_were_sent(server):
     deep = cv2.imencode(".png", DEEP)[1].tobytes()
     plain = cv2.imencode(".jpg", (DEEP >> 4).astype(np.uint8))[1].tobytes()
     with watched(server) as answer:
@@ -47,7 +47,7 @@ def test_pictures_come_as_they_were_sent(server: PictureServer) -> None:
         assert list(came) == []
 
 
-def test_a_slow_client_holds_nobody_up(server: PictureServer) -> None:
+def test_a_slow_client_holds_nobody_up(server):
     with socket.create_connection(("127.0.0.1", server.port)) as slow, watched(server) as fast:
         slow.sendall(b"GET /camera HTTP/1.0\r\n\r\n")
         came, large = parts(fast, 2**22), bytes(2**21)
@@ -56,7 +56,7 @@ def test_a_slow_client_holds_nobody_up(server: PictureServer) -> None:
             assert next(came).body[0] == k
 
 
-def test_no_more_clients_than_a_camera_serves(server: PictureServer) -> None:
+def test_no_more_clients_than_a_camera_serves(server):
     answers = [watched(server) for _ in range(8)]
     with pytest.raises(urllib.error.HTTPError, match="503"):
         watched(server)
@@ -70,6 +70,6 @@ def test_no_more_clients_than_a_camera_serves(server: PictureServer) -> None:
     "answer",
     [b"<html>\r\n" * 50, b"--frame\r\nContent-Type: image/png\r\n\r\n", b"--frame\r\nContent-Length: 99999999999\r\n\r\n", b"a" * 10**6],
 )
-def test_what_is_no_stream_of_pictures_is_refused(answer: bytes) -> None:
+def test_what_is_no_stream_of_pictures_is_refused(answer):
     with refusal(r"MJPEG stream|99999999999 bytes"):
         list(parts(io.BytesIO(answer), 10**6))

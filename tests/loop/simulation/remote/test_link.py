@@ -75,7 +75,7 @@ def answering(*answers: bytes | str) -> Callable[[ClientConnection], list[Any]]:
     return play
 
 
-def test_messages_come_and_go() -> None:
+def test_messages_come_and_go():
     link = link_of()
     answer = message({"frame.7": FRAME}, "deflate", **CAME | {"number": 7, "frames": [{"number": 7}, {"number": 6, "lost": True}]})
     with talking(answering(message(**CAME), answer), link) as gave:
@@ -122,7 +122,7 @@ WRONG: dict[str, tuple[bytes | str, str]] = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_an_answer_that_is_none_is_refused_here_and_there(name: str) -> None:
+def test_an_answer_that_is_none_is_refused_here_and_there(name):
     (answer, words), link = WRONG[name], link_of()
     with talking(answering(answer), link) as gave:
         link.meet({})
@@ -135,7 +135,7 @@ def test_an_answer_that_is_none_is_refused_here_and_there(name: str) -> None:
     assert isinstance(error, ConnectionClosed) and error.rcvd is not None and error.rcvd.code == 4400
 
 
-def test_a_message_beyond_what_frames_can_take_is_not_read() -> None:
+def test_a_message_beyond_what_frames_can_take_is_not_read():
     link = link_of()
     with talking(answering(bytes(2**21)), link):
         link.meet({})
@@ -143,7 +143,7 @@ def test_a_message_beyond_what_frames_can_take_is_not_read() -> None:
             link.ask(START)
 
 
-def test_a_simulator_says_why_it_fails() -> None:
+def test_a_simulator_says_why_it_fails():
     link = link_of()
     with talking(answering(message(type="error", text="out of roads")), link) as gave:
         link.meet({})
@@ -152,7 +152,7 @@ def test_a_simulator_says_why_it_fails() -> None:
     assert gave[0][-1] == {"type": "end"}
 
 
-def test_who_is_silent_or_goes_away_ends_the_wait() -> None:
+def test_who_is_silent_or_goes_away_ends_the_wait():
     link, begun_s = link_of(0.5), time.monotonic()
     with talking(answering(), link):
         link.meet({})
@@ -165,7 +165,7 @@ def test_who_is_silent_or_goes_away_ends_the_wait() -> None:
     assert time.monotonic() - begun_s < 5
 
 
-def test_who_does_not_read_ends_the_wait() -> None:
+def test_who_does_not_read_ends_the_wait():
     """The light is larger than what sockets keep of a program that reads nothing."""
     link, there = link_of(0.5), ClientProtocol(parse_uri("ws://127.0.0.1/"))
     with ExitStack() as stack:
@@ -193,7 +193,7 @@ def test_who_does_not_read_ends_the_wait() -> None:
         assert time.monotonic() - begun_s < 5
 
 
-def test_nobody_comes_and_others_are_refused() -> None:
+def test_nobody_comes_and_others_are_refused():
     link = link_of(0.3)
     with refusal(rf"^no simulator has connected to ws://{link.address} within 0.3 s; start one, or raise"):
         link.meet({})
@@ -211,7 +211,7 @@ def test_nobody_comes_and_others_are_refused() -> None:
         assert isinstance(gave[0], InvalidStatus) and gave[0].response.status_code == 403
 
 
-def test_one_simulator_is_the_plant_and_another_is_told_so() -> None:
+def test_one_simulator_is_the_plant_and_another_is_told_so():
     link = link_of()
     with talking(answering(message(**CAME)), link):
         link.meet({})
@@ -226,7 +226,7 @@ def test_one_simulator_is_the_plant_and_another_is_told_so() -> None:
             other.meet({})
 
 
-def test_nothing_is_opened_before_the_start_and_light_comes_as_texture() -> None:
+def test_nothing_is_opened_before_the_start_and_light_comes_as_texture():
     """Its window has all of the light, in cd."""
     address = f"127.0.0.1:{free_port()}"
     simulation = prepare(validate({**SMALL, "plant": {"kind": "remote", "address": address, "sends": "texture"}}, "remote"), "cpu")

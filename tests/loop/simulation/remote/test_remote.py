@@ -80,7 +80,7 @@ def commanded(table: pa.Table) -> dict[str, list[Any]]:
 
 
 @pytest.mark.slow
-def test_a_run_on_another_process_is_the_same_bit_for_bit(tmp_path: Path) -> None:
+def test_a_run_on_another_process_is_the_same_bit_for_bit(tmp_path):
     remote = run_on("", tmp_path / "remote", DRIVES)
     here = run(validate(DRIVES, "here"), tmp_path / "here", frames=True, video=False, report=False, device="cpu")
     assert commanded(remote.trajectory) == commanded(here.trajectory)
@@ -89,7 +89,7 @@ def test_a_run_on_another_process_is_the_same_bit_for_bit(tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_objects_that_it_tells_of_are_masked_and_recorded_and_played_again(tmp_path: Path) -> None:
+def test_objects_that_it_tells_of_are_masked_and_recorded_and_played_again(tmp_path):
     """A pedestrian is there for 0.1 s, and the mask fades out thereafter."""
     told = run_on("objects=0.1", tmp_path / "told", MASKS)
     flux = told.trajectory["lamp.left.flux_lm"].to_pylist()
@@ -103,7 +103,7 @@ def test_objects_that_it_tells_of_are_masked_and_recorded_and_played_again(tmp_p
 
 
 @pytest.mark.slow
-def test_the_game_engine_of_the_examples_closes_the_loop(tmp_path: Path) -> None:
+def test_the_game_engine_of_the_examples_closes_the_loop(tmp_path):
     """It drives by its own, while its body pitches by 0.23 deg, which moves light at 17 m by a metre; a pixel is 11 cm there."""
     address = f"127.0.0.1:{free_port()}"
     camera = toml("{ width_px = 640, height_px = 360, bits = 8, gamma = 2.2 }")

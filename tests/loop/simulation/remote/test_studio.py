@@ -40,7 +40,7 @@ def dark(address: str, over: threading.Event, said: list[Any]) -> None:
             time.sleep(0.02)
 
 
-def test_edits_go_on_and_what_starts_anew_begins_again() -> None:
+def test_edits_go_on_and_what_starts_anew_begins_again():
     address, over, said = f"127.0.0.1:{free_port()}", threading.Event(), list[Any]()
     thread = threading.Thread(target=dark, args=(address, over, said))
     thread.start()

@@ -40,7 +40,7 @@ def acquired(road: str, *more: str) -> Relocalisation:
     return prepared.symbol.sensor.relocalise(shown_at_target(prepared), projector.light(projector.target))
 
 
-def test_a_ray_meets_the_road_where_the_quadratic_is_solved() -> None:
+def test_a_ray_meets_the_road_where_the_quadratic_is_solved():
     shapes = torch.tensor([[0.2, 0.01, -0.02, 0.002], [-0.3, -0.03, 0.0, 0.0], [0.0, 0.0, 0.0, -0.004]], dtype=torch.float64)
     origin, rays = torch.tensor([0.0, 0.6, 0.75]).double(), torch.tensor([[1.0, 1.0], [0.01, -0.03], [-0.05, -0.06]]).double()
     points = origin[:, None, None] + rays[:, None] * ray_lengths(shapes, 17.0, origin, rays)
@@ -51,7 +51,7 @@ def test_a_ray_meets_the_road_where_the_quadratic_is_solved() -> None:
 
 
 @pytest.mark.parametrize(("percent", "crossfall"), [(-2.0, 0.0), (-1.0, 2.0), (1.0, -2.0), (3.0, 0.0), (4.0, 2.0)])
-def test_the_shape_of_a_grade_is_found_where_its_light_is(percent: float, crossfall: float) -> None:
+def test_the_shape_of_a_grade_is_found_where_its_light_is(percent, crossfall):
     prepared, found = simulation(grade(percent, crossfall)), acquired(grade(percent, crossfall))
     assert found.found
     lamp = prepared.symbol.projector.modules[0].T_body_headlight[:3, 3]
@@ -61,13 +61,13 @@ def test_the_shape_of_a_grade_is_found_where_its_light_is(percent: float, crossf
     assert z == pytest.approx(float(prepared.scenario.road.z(x, y)), abs=0.015)
 
 
-def test_a_flat_road_is_found_to_be_flat() -> None:
+def test_a_flat_road_is_found_to_be_flat():
     found = acquired(FLAT)
     assert not found.found and found.match > 0.9
     assert found.match - found.flat < 0.02  # what is tried last are steps of 1 mm and 0.2 per mille
 
 
-def test_one_bright_place_hides_no_area_of_the_light_around_it() -> None:
+def test_one_bright_place_hides_no_area_of_the_light_around_it():
     prepared = simulation(FLAT)
     projector, acquisition = prepared.symbol.projector, prepared.symbol.sensor.relocaliser
     (texture,) = projector.textures(projector.light(projector.target))
@@ -82,14 +82,14 @@ def test_one_bright_place_hides_no_area_of_the_light_around_it() -> None:
     "disturbance",
     ["oncoming=[{position_m=[40, 2, 0.65], intensity_cd=500, frames='on'}]", "ambient=[{factor=4, frames='on'}]", "noise=[{factor=10}]"],
 )
-def test_what_is_no_symbol_is_not_taken_for_it(disturbance: str) -> None:
+def test_what_is_no_symbol_is_not_taken_for_it(disturbance):
     prepared = simulation(FLAT, f"disturbances.{disturbance}")
     lights = prepared.symbol.projector.light(prepared.symbol.projector.target)
     frames = frames_of(prepared.plant, [type(light)(torch.zeros_like(light.u)) for light in lights])
     assert frames is not None and not prepared.symbol.sensor.relocalise(frames, lights).found
 
 
-def test_a_symbol_that_is_plainly_in_the_image_is_never_lost() -> None:
+def test_a_symbol_that_is_plainly_in_the_image_is_never_lost():
     for percent in (-2.0, 3.0, 4.0):
         prepared = simulation(grade(percent))
         sensor, projection, frames = prepared.symbol.sensor, ProjectionCommand(prepared.symbol.projector.target), shown_at_target(prepared)
@@ -101,7 +101,7 @@ def test_a_symbol_that_is_plainly_in_the_image_is_never_lost() -> None:
 
 
 @pytest.mark.parametrize(("percent", "least"), [(-2.0, 0.72), (2.0, 0.90), (4.0, 0.85)])
-def test_two_looks_lay_the_symbol_straight_on_a_grade(percent: float, least: float) -> None:
+def test_two_looks_lay_the_symbol_straight_on_a_grade(percent, least):
     """As well as exact inverse ray tracing onto the true road does, which leaves the light of near parts as bright as it is."""
     changes = [*SMALL[:2], f"road={grade(percent)}", "functions.symbol.controller={name='luxloop'}"]
     *_, last = simulation_of(load("snowflake", changes, steps=4)).evaluations()

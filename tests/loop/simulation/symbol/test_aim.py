@@ -33,17 +33,17 @@ def grade(percent: float) -> tuple[float, ...]:
 
 
 @pytest.mark.parametrize("percent", [-3, -2, 0, 2, 6])
-def test_an_appearance_stays_one_while_it_meets_the_road(percent: float) -> None:
+def test_an_appearance_stays_one_while_it_meets_the_road(percent):
     assert plane(grade(percent), "appearance").equal(HERE)
 
 
-def test_an_appearance_that_would_lie_too_far_behind_becomes_the_nearest_place_that_is_lit() -> None:
+def test_an_appearance_that_would_lie_too_far_behind_becomes_the_nearest_place_that_is_lit():
     found = elsewhere(plane(grade(-5), "appearance"), symbol("appearance"))
     assert found is not None and found.allclose(elsewhere(plane(grade(-5), "place"), symbol("place")))
 
 
 @pytest.mark.parametrize("percent", [-2, 1, 4, 6])
-def test_a_place_touches_the_road_at_the_target(percent: float) -> None:
+def test_a_place_touches_the_road_at_the_target(percent):
     T = plane(grade(percent), "place")
     x = torch.tensor([15.0, 17.0, 19.0], dtype=torch.float64)
     on_plane = transform(T, torch.stack([x, torch.zeros_like(x), torch.zeros_like(x)]))
@@ -53,7 +53,7 @@ def test_a_place_touches_the_road_at_the_target(percent: float) -> None:
     assert elsewhere(T, symbol("place")) is None
 
 
-def test_a_place_below_the_field_moves_ahead_until_lamps_light_all_of_it() -> None:
+def test_a_place_below_the_field_moves_ahead_until_lamps_light_all_of_it():
     T = plane(grade(-4), "place")
     found = elsewhere(T, symbol("place"))
     assert found is not None and found[0] > 20 and found[1] == pytest.approx(0.0, abs=1e-9)
@@ -68,11 +68,11 @@ def test_a_place_below_the_field_moves_ahead_until_lamps_light_all_of_it() -> No
     assert below < light.bottom
 
 
-def test_a_place_behind_a_crest_is_not_aimed_at() -> None:
+def test_a_place_behind_a_crest_is_not_aimed_at():
     crest = (-1.5, -0.25, 0.0, -1 / 60)  # falls away from the lamps' lowest light
     found = elsewhere(plane(crest, "place"), symbol("place"))
     assert found is None or found[0] < 17
 
 
-def test_where_nothing_can_be_lit_the_target_stays() -> None:
+def test_where_nothing_can_be_lit_the_target_stays():
     assert plane((-30.0, -3.0, 0.0, 0.0), "place").equal(HERE)

@@ -37,14 +37,14 @@ def height(shape: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> torch.Tenso
     return a + b * (x - 17) + c * y + d * (x - 17) ** 2 / 2
 
 
-def test_on_the_plane_itself_nothing_changes(flat: Simulation) -> None:
+def test_on_the_plane_itself_nothing_changes(flat):
     projector = flat.symbol.projector
     (light,), (lifted,) = projector.light(ASIDE), projector.draw(ProjectionCommand(ASIDE, shape=torch.zeros(4)))
     # reading the symbol through cells of 1 cm takes something from edges, which are long beside the strokes
     assert float((light.u - lifted.u).abs().sum() / light.u.abs().sum()) < 0.05
 
 
-def test_the_rectangle_lies_on_the_plane_of_the_road(flat: Simulation) -> None:
+def test_the_rectangle_lies_on_the_plane_of_the_road(flat):
     projector = flat.symbol.projector
     projection = projector.on_road(ProjectionCommand(ASIDE, shape=PLANE))
     assert projection.warp is not None
@@ -54,7 +54,7 @@ def test_the_rectangle_lies_on_the_plane_of_the_road(flat: Simulation) -> None:
 
 
 @pytest.mark.parametrize("curvature", [0.0, 0.003])
-def test_the_eye_sees_each_place_of_the_symbol_where_it_is_on_the_plane(flat: Simulation, curvature: float) -> None:
+def test_the_eye_sees_each_place_of_the_symbol_where_it_is_on_the_plane(flat, curvature):
     shape = PLANE.clone()
     shape[3] = curvature
     projector = flat.symbol.projector
@@ -83,14 +83,14 @@ def test_the_eye_sees_each_place_of_the_symbol_where_it_is_on_the_plane(flat: Si
 
 @pytest.mark.parametrize("name", ["thesis_pid", "gauss_newton", "model_reference"])
 @pytest.mark.parametrize(("percent", "least"), [(-2.0, 0.70), (2.0, 0.87)])
-def test_feedback_settles_on_a_grade_near_the_bound(name: str, percent: float, least: float) -> None:
+def test_feedback_settles_on_a_grade_near_the_bound(name, percent, least):
     """The bound is 0.72 and 0.90. On rectangles on z = 0 thesis_pid ends with 0.30, which oscillates by 0.05, and 0.69."""
     ious = [float(each.iou) for each in metrics(simulation(percent, f"{{name='{name}'}}"))][-5:]
     assert min(ious) > least
     assert max(ious) - min(ious) < 0.02
 
 
-def test_a_shape_begins_the_controller_anew_and_is_given_up_where_nothing_is_seen(flat: Simulation) -> None:
+def test_a_shape_begins_the_controller_anew_and_is_given_up_where_nothing_is_seen(flat):
     lifting = flat.symbol.controller
     assert isinstance(lifting, Lifting)
     start = torch.tensor([15.0, 1.5, 0.08, -0.03])

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -53,14 +52,14 @@ def seen_by_hand(lamp: Tensor, x: Tensor, y: Tensor, height: float) -> Tensor:
 
 
 @pytest.mark.parametrize("height", [-0.1, 0.0, 0.07])
-def test_light_on_a_raised_plane_is_seen_where_similar_triangles_say(height: float) -> None:
+def test_light_on_a_raised_plane_is_seen_where_similar_triangles_say(height):
     x, y = torch.meshgrid(torch.linspace(15, 19, 9), torch.linspace(-1, 1, 5), indexing="ij")
     seen = torch.stack(relief(height).seen_from(LAMP, on_plane(x, y), UP, 0.2))
     # the way of light is straight, but where its layers are seen is not quite linear in height between two of them
     torch.testing.assert_close(seen, seen_by_hand(LAMP, x, y, height), rtol=0, atol=5e-3)
 
 
-def test_light_falls_on_the_first_thing_in_its_way() -> None:
+def test_light_falls_on_the_first_thing_in_its_way():
     heights = torch.zeros(80, 10)
     heights[40:45] = 0.2  # a wall, seen between 16.5 m and 17 m
     wall = HeightMap(REGION, EYE, heights, torch.ones(80, 10))
@@ -70,7 +69,7 @@ def test_light_falls_on_the_first_thing_in_its_way() -> None:
     assert ((seen[0, 1:3] > 16.4) & (seen[0, 1:3] < 17.1)).all(), "on its face"
 
 
-def test_a_drawing_for_the_plane_is_the_symbol_itself() -> None:
+def test_a_drawing_for_the_plane_is_the_symbol_itself():
     projection, warp = drawn(relief(0.0, 0.5))
     v, u = ((2 * (torch.arange(n) + 0.5) / n - 1) * size / share for n, size, share in zip(CELLS, warp.size_m, (4, 2), strict=True))
     # rounding of float32 coordinates of some 20 m, over half of the symbol's width of 1 m
@@ -83,7 +82,7 @@ def test_a_drawing_for_the_plane_is_the_symbol_itself() -> None:
 
 
 @pytest.mark.parametrize("slope", [-0.02, 0.03])
-def test_a_symbol_for_a_slope_is_drawn_on_the_slope(slope: float) -> None:
+def test_a_symbol_for_a_slope_is_drawn_on_the_slope(slope):
     shape = torch.tensor([[slope * 14.0, slope, 0.01, 0.0]])
     x, y = torch.meshgrid(torch.linspace(20.95, 13.05, 80), torch.linspace(1.95, -1.95, 40), indexing="ij")
     heights = EYE[2] * (1 - ray_lengths(shape, 17.0, EYE, on_plane(x, y) - EYE[:, None, None])[0])
@@ -98,7 +97,7 @@ def test_a_symbol_for_a_slope_is_drawn_on_the_slope(slope: float) -> None:
     assert (u.min() < -1) & (u.max() > 1) & (v.min() < -1) & (v.max() > 1), "the patch holds the whole symbol"
 
 
-def test_each_lamp_has_a_drawing_of_its_own() -> None:
+def test_each_lamp_has_a_drawing_of_its_own():
     eye, lamps = torch.tensor([-1.6, 0.0, 1.35]), torch.stack([LAMP, LAMP * torch.tensor([1.0, -1.0, 1.0])])
     wave = 0.03 * (1 + torch.linspace(-6, 6, 20).cos())[:, None].expand(20, 10)
     _, warp = drawn(HeightMap(REGION, eye, wave, torch.linspace(1, 2, 20)[:, None].expand(20, 10)), lamps)
@@ -115,7 +114,7 @@ def test_each_lamp_has_a_drawing_of_its_own() -> None:
         assert torch.equal(light.u, projector.draw(ProjectionCommand(projector.target, warp=for_all))[k].u)
 
 
-def test_neighbours_settle_what_is_ambiguous() -> None:
+def test_neighbours_settle_what_is_ambiguous():
     costs = torch.ones(6, 8, 5)
     costs[..., 3] = 0.0
     costs[2:4, 3:5] = 0.0  # says nothing
@@ -133,7 +132,7 @@ def lifted() -> Simulation:
     return simulation('{kind="curb", y_m=-8.0, ramp_m=0.03, height_m=0.03}', "headlight.model=idealised-332x1024")
 
 
-def test_one_look_tells_how_high_the_road_is(lifted: Simulation) -> None:
+def test_one_look_tells_how_high_the_road_is(lifted):
     controller, projector = lifted.symbol.controller, lifted.symbol.projector
     lights = projector.light(projector.target)
     frames = frames_of(lifted.plant, lights)
@@ -179,7 +178,7 @@ def opened(prepared: Simulation) -> float:
 
 
 @pytest.mark.parametrize(("more", "step"), [((), 4), (("camera.latency_steps=2",), 10)])
-def test_the_symbol_lies_right_on_an_uneven_road_at_any_latency(more: tuple[str, ...], step: int) -> None:
+def test_the_symbol_lies_right_on_an_uneven_road_at_any_latency(more, step):
     prepared = simulation('{kind="bumps"}', *more)
     _, seen = course(prepared, prepared.start(), 11)
     # 0.96 is reached at full resolution; half of it leaves edges of half a camera row
@@ -187,7 +186,7 @@ def test_the_symbol_lies_right_on_an_uneven_road_at_any_latency(more: tuple[str,
     assert seen[step] > opened(simulation('{kind="bumps"}')) + 0.05
 
 
-def test_a_flat_road_keeps_next_to_all_of_the_open_loop() -> None:
+def test_a_flat_road_keeps_next_to_all_of_the_open_loop():
     prepared = simulation('{kind="flat"}')
     states, seen = course(prepared, prepared.start(), 5)
     ego = prepared.ego(states[-1].samples, states[-1].arrivals.time_s)
@@ -196,7 +195,7 @@ def test_a_flat_road_keeps_next_to_all_of_the_open_loop() -> None:
     assert min(seen[1:]) > opened(prepared) - 0.04  # heights that noise brings cost up to 0.03, over eight seeds
 
 
-def test_without_frames_and_without_light_the_open_loop_is_shown() -> None:
+def test_without_frames_and_without_light_the_open_loop_is_shown():
     prepared = simulation('{kind="flat"}')
     state, result = prepared.step(prepared.start())
     controller, target = prepared.symbol.controller, prepared.symbol.projector.target
@@ -212,7 +211,7 @@ def look(prepared: Simulation, frames: tuple[Tensor, Tensor] | None) -> Observat
     return Observation(sensor.measure(frames, projection, lights), frames, Projection(projection, lights))
 
 
-def test_a_wrong_belief_at_the_start_is_drawn_and_given_up() -> None:
+def test_a_wrong_belief_at_the_start_is_drawn_and_given_up():
     prepared = simulation('{kind="flat"}', "functions.symbol.controller={name='luxloop', start_height_m=0.03}")
     _, first = prepared.step(prepared.start())
     # the camera at 1.35 m takes the target for 17 m (1 - 0.03 / 1.35), where the lamp at 0.75 m casts light 0.75 / 0.72 times as far
@@ -232,7 +231,7 @@ def shown_at_target(prepared: Simulation) -> tuple[tuple[Tensor, Tensor], tuple[
     return frames, tuple(c.headlight.light_texture(light.u - c.default) for c, light in zip(controllers, lights, strict=True))
 
 
-def test_noise_is_measured_where_the_camera_does_not_tell() -> None:
+def test_noise_is_measured_where_the_camera_does_not_tell():
     usual = simulation('{kind="flat"}')
     noisy = disturbed(usual, noise=[{"factor": 10.0}])
     limits = []
@@ -249,7 +248,7 @@ def test_noise_is_measured_where_the_camera_does_not_tell() -> None:
     assert 2 < limits[1] / limits[0] < 10
 
 
-def test_a_symbol_that_fills_most_of_what_is_seen_is_not_taken_for_noise(tmp_path: Path) -> None:
+def test_a_symbol_that_fills_most_of_what_is_seen_is_not_taken_for_noise(tmp_path):
     Image.new("L", (8, 8), 255).save(tmp_path / "white.png")
     large = simulation('{kind="bumps"}', f'functions.symbol={{image="{tmp_path / "white.png"}", width_m=4.0, length_m=8.0}}')
     forward_model = large.symbol.controller.registration.forward_model

@@ -57,7 +57,7 @@ def way(x: float, y: float, yaw: float, z: float = 0.0, slope: float = 0.0) -> T
 
 
 @pytest.mark.parametrize("T", [way(0.667, 0.02, 0.003), way(0.667, 0.02, 0.003, 0.002, -0.001)], ids=["level", "tilted"])
-def test_what_is_known_stays_on_the_road(T: Tensor) -> None:
+def test_what_is_known_stays_on_the_road(T):
     moved, expected, still = (
         each.heights.mean.view(GRID)[12:, 2:-2]  # what was not in the region before is not known
         for each in (remembered(HERE, EYE).move(T, SWUNG), remembered(T, SWUNG), remembered(HERE, EYE))
@@ -67,7 +67,7 @@ def test_what_is_known_stays_on_the_road(T: Tensor) -> None:
     assert (still - expected).abs().max() > 0.02, "the waves have moved by a fifth"
 
 
-def test_information_moves_by_whole_cells_exactly_and_is_kept_in_between() -> None:
+def test_information_moves_by_whole_cells_exactly_and_is_kept_in_between():
     n, grid = GRID[0] * GRID[1], torch.arange(GRID[0] * GRID[1]).view(GRID)
 
     def known_at(row: int) -> Tensor:
@@ -84,7 +84,7 @@ def test_information_moves_by_whole_cells_exactly_and_is_kept_in_between() -> No
     assert torch.allclose(between, between.T, atol=1e-6) and behind.abs().sum() == 0
 
 
-def test_the_road_tells_a_pitch_and_not_its_own_heights() -> None:
+def test_the_road_tells_a_pitch_and_not_its_own_heights():
     known = remembered(HERE, EYE)
     tilted = known.tilt(-1e-3, -2.2)  # 19 mm at 17 m
     assert tilted.pitch_between(known, -2.2) == pytest.approx(1e-3, rel=1e-3)
@@ -107,7 +107,7 @@ def nodding(time_s: float, hz: float = 1.2, amplitude: float = math.radians(0.2)
     return Ego(time_s + 1 / 30, 1 / 60, *told, -2.2, -3.6)
 
 
-def test_a_nod_is_predicted_two_periods_ahead() -> None:
+def test_a_nod_is_predicted_two_periods_ahead():
     body, worst, linear = BodyFilter.first(BODY, nodding(0), 16.0, 17.0), 0.0, 0.0
     for k in range(60):
         now, then = nodding(k / 30), nodding((k + 2) / 30)
@@ -120,7 +120,7 @@ def test_a_nod_is_predicted_two_periods_ahead() -> None:
     assert body.update(now) is body, "the same measurement says nothing new"
 
 
-def test_a_mode_follows_what_is_under_it_as_a_linear_system_does() -> None:
+def test_a_mode_follows_what_is_under_it_as_a_linear_system_does():
     share, base = np.linspace(0, 1, PARTS + 1), np.random.default_rng(3).normal(size=PARTS + 1)
     omega, damping = 2 * np.pi * 1.4, 0.35
     # q'' + 2 d w (q' - r') + w^2 (q - r) = 0 with x = (q, q' - 2 d w r), which knows no r'
@@ -176,7 +176,7 @@ def driven(
     return errors[10:], linear[10:], body
 
 
-def test_a_body_is_predicted_on_a_road_that_was_seen_and_not_on_another() -> None:
+def test_a_body_is_predicted_on_a_road_that_was_seen_and_not_on_another():
     known, unknown = driven(True)[0], driven(False)[0]
     # cells of 0.2 m are linear: curvature 0.02 (2 pi / 6)^2 times 0.2^2 / 8 is 0.1 mm at both axles, by the lever of 19 m over 2.8 m
     assert max(map(abs, known)) < 2e-3
@@ -184,7 +184,7 @@ def test_a_body_is_predicted_on_a_road_that_was_seen_and_not_on_another() -> Non
 
 
 @pytest.mark.parametrize("suspension", SOFT_AND_STIFF)
-def test_springs_are_those_that_the_controller_believes_in(suspension: float) -> None:
+def test_springs_are_those_that_the_controller_believes_in(suspension):
     right, _, _ = driven(True, 60, suspension=suspension, belief=BodyParams(**springs(suspension)))
     wrong, linear, _ = driven(True, 60, suspension=suspension)
     assert max(map(abs, right)) < 2e-3, "as with usual springs"
@@ -193,7 +193,7 @@ def test_springs_are_those_that_the_controller_believes_in(suspension: float) ->
 
 
 @pytest.mark.parametrize("speed_m_s", [0.0, 3.7, 40.0])
-def test_what_is_known_of_the_body_stays_a_covariance(speed_m_s: float) -> None:
+def test_what_is_known_of_the_body_stays_a_covariance(speed_m_s):
     *_, body = driven(True, 60, speed_m_s)
     assert torch.equal(body.covariance, body.covariance.T)
     assert float(torch.linalg.eigvalsh(body.covariance)[0]) > -1e-12  # of squares of cm
@@ -203,7 +203,7 @@ def test_what_is_known_of_the_body_stays_a_covariance(speed_m_s: float) -> None:
 
 
 @pytest.mark.parametrize("attitude", [(0.0, 0.0, 0.0), (0.03, 0.01, -0.017)])
-def test_a_symbol_is_laid_on_the_ground_from_a_tilted_body(attitude: tuple[float, ...]) -> None:
+def test_a_symbol_is_laid_on_the_ground_from_a_tilted_body(attitude):
     body = body_pose(torch.tensor(attitude, dtype=torch.float64), -2.2)
     target = torch.tensor([17.0, 0.5, 0.0, 0.0], dtype=torch.float64)
     projector, projection = simulation_of(load("flat", SMALL)).symbol.projector, flat_command(target, inverse(body))
@@ -213,7 +213,7 @@ def test_a_symbol_is_laid_on_the_ground_from_a_tilted_body(attitude: tuple[float
     torch.testing.assert_close(transform(body, corners.T).T, flat, rtol=0, atol=6e-4)
 
 
-def test_the_off_frame_is_seen_from_where_the_on_frame_was() -> None:
+def test_the_off_frame_is_seen_from_where_the_on_frame_was():
     """Raw frames differ by all the road's texture, which moves by a third of a metre between them."""
     more = ["camera.oversampling=4", "light.ambient_lx=4", "camera.noise=false", "functions.symbol.controller={name='luxloop'}"]
     simulation = simulation_of(load("driving", [*EXACT, *more]))
@@ -235,7 +235,7 @@ def test_the_off_frame_is_seen_from_where_the_on_frame_was() -> None:
     assert errors[1] < 0.6 * errors[0]
 
 
-def test_the_road_ahead_is_taken_to_bend_on_as_the_ground_does() -> None:
+def test_the_road_ahead_is_taken_to_bend_on_as_the_ground_does():
     """On a crest of 1500 m at 20 m/s, in a ground frame that is tilted by then: a parabola that touches it under the rear axle."""
     controller, radius_m = simulation_of(load("flat", [*SMALL, "functions.symbol.controller=luxloop"])).symbol.controller, 1500.0
     assert isinstance(controller, HeightController)
@@ -254,7 +254,7 @@ def test_the_road_ahead_is_taken_to_bend_on_as_the_ground_does() -> None:
         assert over.heights.mean.equal(mean), "what is known stays, whatever is expected"
 
 
-def test_a_nodding_car_keeps_its_symbol_in_place() -> None:
+def test_a_nodding_car_keeps_its_symbol_in_place():
     nods = ["road.kind=flat", "vehicle={course=[{speed_m_s=10}], oscillation={pitch_deg=0.3}}", "steps=8"]
     simulation = simulation_of(load("driving", [*SMALL, *EXACT, *nods, "functions.symbol.controller={name='luxloop'}"]))
     symbol = simulation.symbol

@@ -82,7 +82,7 @@ def scenario(*overrides: str) -> Scenario:
 
 
 @pytest.mark.usefixtures("own")
-def test_a_controller_draws_what_it_wants() -> None:
+def test_a_controller_draws_what_it_wants():
     simulation = simulation_of(scenario("functions.symbol.controller={name='own:Halfway', options={share=0.25}}"))
     state, first = simulation.step(simulation.start())
     _, second = simulation.step(state)
@@ -95,7 +95,7 @@ def test_a_controller_draws_what_it_wants() -> None:
 
 @pytest.mark.usefixtures("own")
 @pytest.mark.parametrize("controller", ["luxloop", "model_reference"])
-def test_the_loop_looks_with_an_extraction(controller: str) -> None:
+def test_the_loop_looks_with_an_extraction(controller):
     """Ours by another name sees, expects and registers the same on bumps, bit for bit; other edges do not."""
 
     def looked(extraction: str) -> tuple[Any, Tensor]:
@@ -110,7 +110,7 @@ def test_the_loop_looks_with_an_extraction(controller: str) -> None:
     assert isinstance(symbol.extraction, ExtractionParams)
 
 
-def test_batches_and_devices_are_passed_on(device: torch.device) -> None:
+def test_batches_and_devices_are_passed_on(device):
     own = OwnExtractionParams(kind=f"{__name__}:Lit")
     contrast, limit = torch.rand(2, 3, 8, 6, device=device), torch.full((8, 6), 0.4, device=device)
     assert symbol_image(contrast, limit, own).equal((contrast > limit).to(contrast))
@@ -122,7 +122,7 @@ class Lit:
 
 
 @pytest.mark.usefixtures("own")
-def test_a_road_lies_and_is_believed_in_as_the_same_road_of_ours() -> None:
+def test_a_road_lies_and_is_believed_in_as_the_same_road_of_ours():
     """A speed bump by another name shows and draws bit for bit the same; `luxloop check` would call it by its name."""
     runs = []
     for road in ("{kind='own:Bump', options={height_m=0.05}}", "{kind='speed_bump', height_m=0.05}"):
@@ -153,6 +153,6 @@ WRONG = {
 
 @pytest.mark.usefixtures("own")
 @pytest.mark.parametrize(("override", "words"), WRONG.items())
-def test_what_is_wrong_is_said_in_a_sentence(override: str, words: str) -> None:
+def test_what_is_wrong_is_said_in_a_sentence(override, words):
     with sentence(words):
         list(simulation_of(scenario(override, "steps=1")).evaluations())

@@ -11,7 +11,7 @@ from tests.loop.conftest import simulation_of
 from tests.refusal import refusal
 
 
-def test_the_controller_knows_that_the_road_is_wet(small_scenario: Scenario) -> None:
+def test_the_controller_knows_that_the_road_is_wet(small_scenario):
     surface = small_scenario.surface.model_copy(update={"wet": 1.0})
     functions = {"symbol": small_scenario.symbol.model_copy(update={"start": StartParams()})}
     wet = small_scenario.model_copy(update={"surface": surface, "functions": functions, "steps": 6})
@@ -29,7 +29,7 @@ def in_a_beam(scenario: Scenario, beam: str, steps: int, **symbol: object) -> Sc
 
 
 @pytest.mark.parametrize("symbol", [{}, {"quantity": "u_rel", "value": 5.0}], ids=["u_abs", "u_rel"])
-def test_a_symbol_settles_in_a_burning_beam(small_scenario: Scenario, symbol: dict[str, object]) -> None:
+def test_a_symbol_settles_in_a_burning_beam(small_scenario, symbol):
     simulation = prepare(in_a_beam(small_scenario, "low", 30, **symbol))
     results = list(simulation.evaluations())
     # Off frames show the beam, at least three times the ambient light about the symbol; the median leaves no noise worth a tolerance.
@@ -51,6 +51,6 @@ def test_a_symbol_settles_in_a_burning_beam(small_scenario: Scenario, symbol: di
         (["lighting.base.beam=lwo"], "lighting.base.beam: 'lwo' is not possible; did you mean 'low'"),
     ],
 )
-def test_a_beam_that_takes_no_symbol_is_refused(changes: list[str], words: str) -> None:
+def test_a_beam_that_takes_no_symbol_is_refused(changes, words):
     with refusal(words):
         prepare(load("flat", ["camera.width_px=320", "camera.height_px=180", "renderer=raycast", *changes]))

@@ -44,7 +44,7 @@ TURNED = torch.tensor([[0.97, 0.04, 0.05], [-0.02, 1.04, 0.08], [0.01, 0.02, 1.0
 
 
 @pytest.mark.parametrize("kind", ["homography", "homography+mesh"])
-def test_a_homography_is_found_and_undone(alignment: Alignment, kind: str) -> None:
+def test_a_homography_is_found_and_undone(alignment, kind):
     image = moved(alignment, Placement(TURNED, alignment.still.heights, alignment.still.per_m, alignment.still.extent))
     found = alignment.register(image, kind)  # type: ignore[arg-type]
     assert alignment.residual(image) > 0.3
@@ -52,7 +52,7 @@ def test_a_homography_is_found_and_undone(alignment: Alignment, kind: str) -> No
     assert alignment.residual(alignment.undo(image, found)) < 0.12
 
 
-def test_heights_of_a_mesh_are_found_and_undone(alignment: Alignment) -> None:
+def test_heights_of_a_mesh_are_found_and_undone(alignment):
     rows, _ = alignment.still.heights.shape
     hill = 0.02 * torch.sin(torch.linspace(0, 6.28, rows))[:, None].expand_as(alignment.still.heights)
     image = moved(alignment, Placement(torch.eye(3), hill, alignment.still.per_m, alignment.still.extent))
@@ -60,19 +60,19 @@ def test_heights_of_a_mesh_are_found_and_undone(alignment: Alignment) -> None:
     assert alignment.residual(alignment.undo(image, alignment.register(image, "mesh"))) < before / 2
 
 
-def test_where_nothing_has_moved_nothing_is_moved(alignment: Alignment) -> None:
+def test_where_nothing_has_moved_nothing_is_moved(alignment):
     found = alignment.register(alignment.target, "homography+mesh")
     torch.testing.assert_close(found.of(alignment.points), alignment.points, rtol=0, atol=1e-5)  # single precision
 
 
-def test_the_supervisor_lets_control_begin_from_the_open_loop_and_keeps_it_behind_a_box() -> None:
+def test_the_supervisor_lets_control_begin_from_the_open_loop_and_keeps_it_behind_a_box():
     controlled, opened = (ious(14, controller, *ROUGH) for controller in ("{name='gauss_newton', supervisor={}}", "{name='open'}"))
     assert controlled[0] == opened[0] and controlled[-1] > opened[-1]
     kept, opened = (ious(6, controller, BOX) for controller in ("{name='gauss_newton', supervisor={}}", "{name='open'}"))
     assert kept == opened
 
 
-def test_a_controller_that_makes_things_worse_loses_the_charge() -> None:
+def test_a_controller_that_makes_things_worse_loses_the_charge():
     """With the errors' sign turned round the open loop is back after the grace."""
     sim = simulation("functions.symbol.controller={name='gauss_newton', supervisor={grace_steps=2}}", "steps=6", *ROUGH)
     sim.symbol.controller.inner.inner.inverse.neg_()  # type: ignore[attr-defined]
@@ -82,7 +82,7 @@ def test_a_controller_that_makes_things_worse_loses_the_charge() -> None:
 
 
 @pytest.mark.parametrize("stage", ["warp", pytest.param("supervisor", marks=pytest.mark.slow)])
-def test_a_run_goes_on_from_a_stored_state(stage: str) -> None:
+def test_a_run_goes_on_from_a_stored_state(stage):
     prepared = simulation(f"functions.symbol.controller={{name='gauss_newton', {stage}={{}}}}", *ROUGH, "camera.latency_steps=1")
     kept, stored, found = prepared.start(), prepared.start(), []
     for _ in range(10):

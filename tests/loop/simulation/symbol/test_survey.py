@@ -1,7 +1,5 @@
 """Structured light: the road's heights from Gray codes, frames that are late or lost, and a road file that is resolved."""
 
-from pathlib import Path
-
 import pytest
 
 from luxloop import Simulation, load
@@ -20,7 +18,7 @@ def simulation(*changes: str) -> Simulation:
     return simulation_of(load("flat", [*SMALL, SURVEY, *changes]))
 
 
-def test_a_survey_finds_a_lifted_plane_and_draws_for_it() -> None:
+def test_a_survey_finds_a_lifted_plane_and_draws_for_it():
     sim = simulation(LIFTED, "steps=20")
     state = sim.start()
     for _ in range(20):
@@ -33,7 +31,7 @@ def test_a_survey_finds_a_lifted_plane_and_draws_for_it() -> None:
     assert metrics.centroid_percent.abs().max() < 2.0 and metrics.iou > 0.85
 
 
-def test_the_road_that_is_believed_in_is_found_as_the_true_one_is(tmp_path: Path) -> None:
+def test_the_road_that_is_believed_in_is_found_as_the_true_one_is(tmp_path):
     road = {"kind": "opencrg", "file": "./mine.crg"}
     resolve_paths({"functions": {"symbol": {"controller": {"name": "feedforward", "road": road}}}}, tmp_path)
     assert road["file"] == str(tmp_path / "mine.crg")

@@ -32,7 +32,7 @@ def simulation(request: pytest.FixtureRequest) -> Simulation:
     return simulation_of(load("snowflake", [*SMALL, *request.param]))
 
 
-def test_each_copy_is_a_single_run(simulation: Simulation) -> None:
+def test_each_copy_is_a_single_run(simulation):
     copies, results = Copies(simulation), list(simulation.evaluations())
     assert copies.windowed == (simulation.scenario.lighting.base.beam == "off")
     poses = torch.stack([each.symbol.pose for each in results])
@@ -51,7 +51,7 @@ def test_each_copy_is_a_single_run(simulation: Simulation) -> None:
         assert metrics.centroid_percent[k].tolist() == pytest.approx(single.centroid_percent.tolist(), abs=0.05)
 
 
-def test_bands_of_rays_are_the_rays(simulation: Simulation) -> None:
+def test_bands_of_rays_are_the_rays(simulation):
     """The quick form of drawing gives the setpoints of the readable one, bit for bit, where an outline slants or leaves the field, too."""
     copies = Copies(simulation)
     if not copies.windowed:
@@ -65,7 +65,7 @@ def test_bands_of_rays_are_the_rays(simulation: Simulation) -> None:
             assert torch.equal(quick, readable)
 
 
-def test_products_are_kept_until_poses_leave_them(simulation: Simulation) -> None:
+def test_products_are_kept_until_poses_leave_them(simulation):
     """And what they give does not depend on what was kept."""
     near, far = torch.tensor([[17.0, 0.0, 0.0, 0.0], [17.1, 0.0, 0.0, 0.0]]), torch.tensor([[22.0, 0.3, 0.0, 0.0]] * 2)
     copies, fresh = Copies(simulation), Copies(simulation)
@@ -77,7 +77,7 @@ def test_products_are_kept_until_poses_leave_them(simulation: Simulation) -> Non
         torch.testing.assert_close(found.sums, expected.sums)
 
 
-def test_a_symbol_that_nobody_sees_is_lost_and_nothing_on_the_road(simulation: Simulation) -> None:
+def test_a_symbol_that_nobody_sees_is_lost_and_nothing_on_the_road(simulation):
     copies = Copies(simulation)
     light = copies.show(torch.tensor([[17.0, 200.0, 0.0, 0.0]] * 2))
     assert [each.code.item() for each in copies.measure(light, [Conditions(0, 0)] * 2)] == [2, 2]
@@ -85,7 +85,7 @@ def test_a_symbol_that_nobody_sees_is_lost_and_nothing_on_the_road(simulation: S
     assert metrics.iou.tolist() == [0, 0] and metrics.centroid_percent.isnan().all()
 
 
-def test_noise_is_that_of_each_copys_seed_and_step(simulation: Simulation) -> None:
+def test_noise_is_that_of_each_copys_seed_and_step(simulation):
     copies = Copies(simulation)
     light = copies.show(torch.tensor([[17.0, 0.0, 0.0, 0.0]] * 3))
     first, second, third = (each.errors for each in copies.measure(light, [Conditions(0, 5), Conditions(0, 5), Conditions(1, 5)]))
@@ -102,12 +102,12 @@ def test_noise_is_that_of_each_copys_seed_and_step(simulation: Simulation) -> No
         (["vehicle.course=[{ speed_m_s=10.0 }]"], "in which nothing moves"),
     ],
 )
-def test_what_is_no_batch_is_said_so(changes: list[str], said: str) -> None:
+def test_what_is_no_batch_is_said_so(changes, said):
     with refusal(said):
         Copies(simulation_of(load("snowflake", [*SMALL, *changes])))
 
 
-def test_one_that_stands_beside_what_it_was_prepared_for_is_refused(simulation: Simulation) -> None:
+def test_one_that_stands_beside_what_it_was_prepared_for_is_refused(simulation):
     given = load("snowflake", [*SMALL, "disturbances.oncoming=[{ position_m=[40, 2, 0.65] }]"])
     with refusal(r"disturbances\.oncoming"):
         Copies(replace(simulation, scenario=given))

@@ -41,7 +41,7 @@ def simulation(request: pytest.FixtureRequest) -> Simulation:
     return simulation_of(scenario(*request.param))
 
 
-def test_each_rollout_is_the_run_with_its_gains(simulation: Simulation) -> None:
+def test_each_rollout_is_the_run_with_its_gains(simulation):
     given = {key: float(value_of(simulation.scenario, key) or 0.0) for key in KEYS}
     single = list(simulation.evaluations())
     poses = torch.stack([result.symbol.pose for result in single])
@@ -56,7 +56,7 @@ def test_each_rollout_is_the_run_with_its_gains(simulation: Simulation) -> None:
     assert both.seen[:, late:].all() and not both.seen[:, :late].any() and not both.errors[:, :late].any()
 
 
-def test_every_gain_arrives_where_parameters_would_put_it(simulation: Simulation) -> None:
+def test_every_gain_arrives_where_parameters_would_put_it(simulation):
     for key in GAINS:
         expected = ThesisPid.prepare(
             with_values(simulation.scenario, {f"functions.symbol.{key}": 0.37}).symbol.controller, simulation.symbol.projector.target
@@ -71,7 +71,7 @@ def in_float64(params: HeadlightParams, device: str) -> tuple[MountedModule, ...
     return tuple(replace(each, headlight=replace(each.headlight, matrix=matrix)) for each, matrix in lights)
 
 
-def test_errors_are_differentiable_in_gains(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errors_are_differentiable_in_gains(monkeypatch):
     monkeypatch.setattr("luxloop.loop.simulation.build.mount", in_float64)
     monkeypatch.setattr("luxloop.loop.simulation.build_symbols.load_still", lambda file: load_still(file).double())
     loop = Simulation.prepare(scenario("functions.symbol.extraction.edges=soft", "seed=2", steps=4))
@@ -100,7 +100,7 @@ def test_errors_are_differentiable_in_gains(monkeypatch: pytest.MonkeyPatch) -> 
         (["disturbances.drops=[{}]"], [], "no frame is lost"),
     ],
 )
-def test_what_cannot_be_rolled_out_is_said_so(changes: list[str], keys: list[str], said: str, simulation: Simulation) -> None:
+def test_what_cannot_be_rolled_out_is_said_so(changes, keys, said, simulation):
     given = scenario(*changes)
     changed_simulation = replace(simulation, scenario=given, controlled={"symbol": replace(simulation.symbol, function=given.symbol)})
     with pytest.raises(LuxloopError, match=said):

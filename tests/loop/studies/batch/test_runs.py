@@ -54,7 +54,7 @@ def close(a: Any, b: Any) -> bool:
         pytest.param("gauss_newton", (), marks=pytest.mark.slow),
     ],
 )
-def test_each_of_a_batch_is_the_single_run(law: str, common: tuple[str, ...]) -> None:
+def test_each_of_a_batch_is_the_single_run(law, common):
     changes = DIFFERENT[law]
     given = [scenario(f"functions.symbol.controller.name={law}", *each, *common, seed=k) for k, each in enumerate(changes)]
     assert len({batch.kind(each) for each in given}) == 1 and batch.kind(given[0])
@@ -76,7 +76,7 @@ def test_each_of_a_batch_is_the_single_run(law: str, common: tuple[str, ...]) ->
         assert not wrong
 
 
-def test_what_searches_for_its_symbol_is_run_alone() -> None:
+def test_what_searches_for_its_symbol_is_run_alone():
     lost = ("functions.symbol.start={ x_m=15.0, y_m=-5.5 }",)
     given = [scenario(), scenario(*lost), scenario(seed=1)]
     copies = Copies(ready(given[0], "cpu"))
@@ -87,12 +87,12 @@ def test_what_searches_for_its_symbol_is_run_alone() -> None:
 
 
 @pytest.mark.slow
-def test_light_of_whole_lamps_is_run_one_by_one() -> None:
+def test_light_of_whole_lamps_is_run_one_by_one():
     given = [scenario("headlight.model=ssl-hd-lores", "lighting.base.beam=low", seed=k) for k in (0, 1)]
     assert [figures for figures, _ in batch.runs(given)] == [figures_and_trace(each, "cpu")[0] for each in given]
 
 
-def test_a_kind_has_one_world_and_one_law() -> None:
+def test_a_kind_has_one_world_and_one_law():
     kinds = [
         batch.kind(scenario(*changes))
         for changes in ((), ("road.kind=mixed",), ("steps=5",), ("functions.symbol.controller.name=gauss_newton",), ("camera.x_m=-1.5",))
@@ -114,7 +114,7 @@ def test_a_kind_has_one_world_and_one_law() -> None:
         (("vehicle.course=[{ speed_m_s=10.0 }]",), "in which nothing moves"),
     ],
 )
-def test_what_runs_alone_is_said_so(changes: tuple[str, ...], said: str) -> None:
+def test_what_runs_alone_is_said_so(changes, said):
     given = scenario(*changes)
     assert batch.kind(given) is None
     with refusal(said):

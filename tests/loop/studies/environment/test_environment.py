@@ -47,7 +47,7 @@ def played(env: gymnasium.Env, actions: np.ndarray, seed: int | None) -> list:
 
 
 @pytest.mark.parametrize("name", ["Snowflake", "SnowflakeHeights", pytest.param("SnowflakeGains", marks=pytest.mark.slow)])
-def test_gymnasium_has_no_complaint(name: str) -> None:
+def test_gymnasium_has_no_complaint(name):
     assert f"luxloop/{name}-v0" in register()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -56,7 +56,7 @@ def test_gymnasium_has_no_complaint(name: str) -> None:
         check_env(made.unwrapped)
 
 
-def test_a_seed_draws_the_noise_and_nothing_else(env: SymbolEnv) -> None:
+def test_a_seed_draws_the_noise_and_nothing_else(env):
     actions = np.random.default_rng(0).uniform(-0.3, 0.3, (4, 4)).astype(np.float32)
     first, again, other = (played(env, actions, seed) for seed in (7, 7, 8))
     assert all(map(np.array_equal, first, again))
@@ -71,7 +71,7 @@ def test_a_seed_draws_the_noise_and_nothing_else(env: SymbolEnv) -> None:
     assert seen[ERRORS].tolist() == pytest.approx(next(run.run()).measurement.pose_error.tolist(), abs=1e-6), "as `luxloop run`"
 
 
-def test_moves_move_the_symbol_as_far_as_the_controller_may(env: SymbolEnv) -> None:
+def test_moves_move_the_symbol_as_far_as_the_controller_may(env):
     before, _ = env.reset(seed=0)
     after, reward, terminated, truncated, info = env.step(np.array([1.0, -0.5, 0.0, 2.0], np.float32))
     rate, (low, high) = env.acting.law.gains.rate_limit.numpy(), (each.numpy() for each in env.acting.limits)
@@ -82,27 +82,27 @@ def test_moves_move_the_symbol_as_far_as_the_controller_may(env: SymbolEnv) -> N
     assert before[CODES].argmax() == ExtractionStatus.NO_FRAME and after[CODES].argmax() == ExtractionStatus.SEEN
 
 
-def test_the_reward_is_for_overlap_and_against_distance_and_action() -> None:
+def test_the_reward_is_for_overlap_and_against_distance_and_action():
     said = {"iou": [1.0, 0.3, nan], "centroid_percent": [[0.0, 0.0], [60.0, -80.0], [nan, nan]]}
     metrics = SimpleNamespace(**{key: torch.tensor(each) for key, each in said.items()})
     action = torch.tensor([[0.0, 0.0], [1.0, -1.0], [0.0, 1.0]])
     assert sum(reward_terms(metrics, action).values()).tolist() == pytest.approx([1.0, 0.3 - 0.5 - 0.01, -0.5 - 0.005])
 
 
-def test_a_copy_is_as_made_anew(env: SymbolEnv) -> None:
+def test_a_copy_is_as_made_anew(env):
     actions = np.full((2, 4), 0.2, np.float32)
     for copied in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
         assert all(map(np.array_equal, played(copied, actions, 5), played(env, actions, 5)))
 
 
-def test_a_fork_says_so_and_does_not_hang(env: SymbolEnv) -> None:
+def test_a_fork_says_so_and_does_not_hang(env):
     env.reset(seed=0)
     env.step(np.zeros(4, np.float32))
     with get_context("fork").Pool(1) as pool, refusal(r"forked .* 'spawn'"):
         pool.apply_async(luxloop.make, ("snowflake", *SMALL)).get(timeout=120)
 
 
-def test_an_episode_ends_with_the_scenarios_steps_and_other_actions_are_refused(env: SymbolEnv) -> None:
+def test_an_episode_ends_with_the_scenarios_steps_and_other_actions_are_refused(env):
     env.reset(seed=0)
     for action in (np.zeros(3), np.zeros((1, 4)), np.array([0, np.nan, 0, 0])):
         with refusal(r"step: an action has the shape \(4,\) and finite numbers"):
@@ -112,7 +112,7 @@ def test_an_episode_ends_with_the_scenarios_steps_and_other_actions_are_refused(
         luxloop.make("snowflake", *SMALL).step(np.zeros(4, np.float32))
 
 
-def test_gains_that_stay_are_the_thesis_pid_and_others_are_not() -> None:
+def test_gains_that_stay_are_the_thesis_pid_and_others_are_not():
     held = luxloop.make("snowflake", *SMALL, action="gains")
     run = luxloop.Simulation.prepare(luxloop.load("snowflake", [*SMALL, "seed=3"]))
     expected = [result.symbol.pose.tolist() for result in run.evaluations()]
@@ -124,7 +124,7 @@ def test_gains_that_stay_are_the_thesis_pid_and_others_are_not() -> None:
     assert abs(weak[2][0] - expected[3][0]) > 0.1, "a quarter of the gains of position leads elsewhere"
 
 
-def test_heights_move_what_the_symbol_is_drawn_for() -> None:
+def test_heights_move_what_the_symbol_is_drawn_for():
     drawn = luxloop.make("snowflake", *SMALL, action="heights")
     drawn.reset(seed=0)
     flat, *_, plain = drawn.step(np.zeros(32, np.float32))
@@ -145,7 +145,7 @@ def test_heights_move_what_the_symbol_is_drawn_for() -> None:
         pytest.param("gains", ("headlight.model=ssl-hd-lores", "lighting.base.beam=low"), marks=pytest.mark.slow),
     ],
 )
-def test_each_copy_is_the_single_environment(action: str, more: tuple[str, ...]) -> None:
+def test_each_copy_is_the_single_environment(action, more):
     many, one = luxloop.make_vec("snowflake", 3, *SMALL, *more, action=action), luxloop.make("snowflake", *SMALL, *more, action=action)
     together, alone = many.reset(seed=10)[0], one.reset(seed=11)[0]
     actions = np.random.default_rng(1).uniform(-0.2, 0.2, (5, 3, many.single_action_space.shape[0])).astype(np.float32)
@@ -159,7 +159,7 @@ def test_each_copy_is_the_single_environment(action: str, more: tuple[str, ...])
         assert infos["verdict"]["iou"][1] == pytest.approx(float(info["verdict"]["iou"]), abs=1e-3)
 
 
-def test_copies_begin_anew_as_the_mode_says() -> None:
+def test_copies_begin_anew_as_the_mode_says():
     zero = np.zeros((2, 4), np.float32)
     following = luxloop.make_vec("snowflake", 2, *SMALL, "steps=2")
     first, _ = following.reset(seed=0)
@@ -184,14 +184,14 @@ def test_copies_begin_anew_as_the_mode_says() -> None:
         by_hand.step(zero)
 
 
-def test_gymnasium_makes_the_vector_of_copies() -> None:
+def test_gymnasium_makes_the_vector_of_copies():
     made = gymnasium.make_vec("luxloop.environments:luxloop/Snowflake-v0", num_envs=2, overrides=SMALL)
     assert made.unwrapped.copies.windowed
     told, _ = made.reset(seed=[4, 9])
     assert made.observation_space.contains(told) and made.action_space.contains(made.action_space.sample())
 
 
-def test_worlds_are_drawn_from_the_seed_and_shared_by_episodes() -> None:
+def test_worlds_are_drawn_from_the_seed_and_shared_by_episodes():
     keys = ["road.seed=1:50", "camera.latency_steps=0:2", "disturbances.aim[0].yaw_deg=-0.2:0.2"]
     drawn = Randomised(luxloop.make("snowflake", *SMALL, "road.kind=mixed", "disturbances.aim=[{}]"), keys, every=2)
     values = [drawn.reset(seed=seed)[1]["values"] for seed in (1, None, None, 1)]
@@ -219,12 +219,12 @@ def test_worlds_are_drawn_from_the_seed_and_shared_by_episodes() -> None:
         (lambda: Randomised(luxloop.make("snowflake", *SMALL), ["road.sed=1:2"]), r"road\.sed"),
     ],
 )
-def test_what_cannot_be_made_is_said_so(wrong, said: str) -> None:
+def test_what_cannot_be_made_is_said_so(wrong, said):
     with refusal(said):
         wrong()
 
 
-def test_the_front_door_says_what_is_missing() -> None:
+def test_the_front_door_says_what_is_missing():
     program = "import sys; sys.modules['gymnasium'] = None\nimport luxloop\nluxloop.make('snowflake')"
     told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=Path(__file__).parents[4])
     assert "pip install 'luxloop[gym]'" in told.stderr

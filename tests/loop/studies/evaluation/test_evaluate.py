@@ -57,7 +57,7 @@ def found(folder: Path) -> Evaluation:
     return evaluate(folder, ["hd84"], executor=local(1), setpoints=RECTANGLES, grid=2)
 
 
-def test_joint_optimum_is_that_of_a_linear_programme(small: Headlight) -> None:
+def test_joint_optimum_is_that_of_a_linear_programme(small):
     for rectangle in RECTANGLES:
         some = part(small, rectangle.texture(small))
         u, gap = evaluation.joint_optimum(some)
@@ -73,7 +73,7 @@ def test_joint_optimum_is_that_of_a_linear_programme(small: Headlight) -> None:
         assert least - 1e-5 <= reached <= least * (1 + evaluation.GAP) + 1e-5  # u is rounded to float32
 
 
-def test_mrpc_is_never_better_than_the_joint_optimum(found: Evaluation) -> None:
+def test_mrpc_is_never_better_than_the_joint_optimum(found):
     assert found.failures == {}
     for row in found.setpoints:
         assert row["jpo_mae"] <= row["mrpc_mae"] * (1 + evaluation.GAP)
@@ -85,20 +85,20 @@ def test_mrpc_is_never_better_than_the_joint_optimum(found: Evaluation) -> None:
     assert values["a_x_median"] == np.median([row["a_x"] for row in found.setpoints])
 
 
-def test_stored_utilisations_give_the_error(found: Evaluation, small: Headlight) -> None:
+def test_stored_utilisations_give_the_error(found, small):
     for row, rectangle in zip(found.setpoints, RECTANGLES, strict=True):
         for control in ("mrpc", "jpo"):
             light = torch.from_numpy(evaluation.light_of("hd84", row["pixels"], row[f"{control}_u"]))
             assert float(mae(light, rectangle.texture(small))) == pytest.approx(row[f"{control}_mae"], abs=1e-3)  # stored with 5 digits
 
 
-def test_tuning_only_lowers_the_errors_of_the_tables(found: Evaluation) -> None:
+def test_tuning_only_lowers_the_errors_of_the_tables(found):
     errors = dict(zip(ROWS, (row["mae"] for row in found.tables), strict=True))
     assert errors["exclusion"] <= errors["reference"]
     assert min(errors.values()) == pytest.approx(errors["exclusion, mapping, free shape, reduction"], rel=0.1)  # a short search
 
 
-def test_an_evaluation_goes_on_where_it_was(found: Evaluation, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_evaluation_goes_on_where_it_was(found, folder, tmp_path, monkeypatch):
     lines = (folder / JOBS).read_text().splitlines()
     (tmp_path / JOBS).write_text("\n".join([*lines[1:], lines[0][:40]]))
     started = []
@@ -110,7 +110,7 @@ def test_an_evaluation_goes_on_where_it_was(found: Evaluation, folder: Path, tmp
     assert (tmp_path / SETPOINTS).exists()
 
 
-def test_a_part_that_fails_leaves_no_older_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_part_that_fails_leaves_no_older_table(tmp_path, monkeypatch):
     def failing(**parameters: object) -> dict[str, object]:
         raise ValueError("no")
 
@@ -122,7 +122,7 @@ def test_a_part_that_fails_leaves_no_older_table(tmp_path: Path, monkeypatch: py
     assert not list(tmp_path.glob("*.parquet"))
 
 
-def test_figures_and_report(found: Evaluation, tmp_path: Path) -> None:
+def test_figures_and_report(found, tmp_path):
     report.write_report(found, tmp_path)
     text = (tmp_path / "report.md").read_text()
     for kind in report.CAPTIONS:
@@ -133,7 +133,7 @@ def test_figures_and_report(found: Evaluation, tmp_path: Path) -> None:
     assert "sensitivity" not in report.page(Evaluation(found.setpoints, [], [], {}), "")
 
 
-def test_command_says_how_it_went(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_says_how_it_went(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(evaluation, "QUICK", [RECTANGLES[0], Rectangle(80, 0, 1, 1)])
     monkeypatch.setattr(evaluation, "ROWS", {})
     monkeypatch.setattr(evaluation, "_sensitivities", lambda name, steps: [])
@@ -145,7 +145,7 @@ def test_command_says_how_it_went(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.parametrize(("option", "value", "told"), [("--lamp", "hd85", "hd84"), ("--jobs", "0", "must be >= 1")])
-def test_wrong_options_are_refused(option: str, value: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_options_are_refused(option, value, told, tmp_path, capsys):
     assert cli.main(["evaluate", "--quick", "--out", str(tmp_path), option, value]) == cli.WRONG
     said = capsys.readouterr().err
     assert option in said and told in said

@@ -11,7 +11,7 @@ from pycocotools.coco import COCO
 
 from luxloop import LuxloopError
 from luxloop.loop.studies.training.dataset import JOBS, make, read
-from tests.loop.conftest import Lux, assert_refused
+from tests.loop.conftest import assert_refused
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation")  # of pycocotools
 
@@ -46,7 +46,7 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "night.toml"
 
 
-def test_scenes_are_made_once_and_joined(lux: Lux, file: Path, tmp_path: Path) -> None:
+def test_scenes_are_made_once_and_joined(lux, file, tmp_path):
     arguments = ["dataset", "night.toml", "--jobs", "1", "--out", "set"]
     code, out, error = lux(*arguments, "--scenes", "2")
     assert (code, error) == (0, "") and out.startswith("set/coco.json written: 2 scenes, ")
@@ -77,7 +77,7 @@ def test_scenes_are_made_once_and_joined(lux: Lux, file: Path, tmp_path: Path) -
     assert len(coco.anns) == len(coco.dataset["annotations"]) > 2, "no number twice"
 
 
-def test_kitti_numbers_the_images_of_all_scenes(lux: Lux, file: Path, tmp_path: Path) -> None:
+def test_kitti_numbers_the_images_of_all_scenes(lux, file, tmp_path):
     file.write_text(FILE.replace('"coco"', '"kitti"').replace(', "camera.latency_steps=0:1"', "").replace("steps = 2", "steps = 1"))
     code, out, _ = lux("dataset", "night.toml", "--scenes", "2", "--jobs", "1", "--out", "set")
     assert code == 0 and "2 frames" in out
@@ -89,7 +89,7 @@ def test_kitti_numbers_the_images_of_all_scenes(lux: Lux, file: Path, tmp_path: 
         assert image["id"] == number and joined == (tmp_path / "set" / image["file_name"]).read_bytes()
 
 
-def test_scenes_follow_from_seeds_and_vary_as_told(file: Path) -> None:
+def test_scenes_follow_from_seeds_and_vary_as_told(file):
     dataset = read(file, 24)
     assert {each.variant for each in dataset.scenes} == {"low", "high"}
     assert [each.seed for each in dataset.scenes] == [*range(5, 29)]
@@ -102,7 +102,7 @@ def test_scenes_follow_from_seeds_and_vary_as_told(file: Path) -> None:
     assert read(file, 3).scenes[2].scenario == dataset.scenes[2].scenario, "whatever their number"
 
 
-def test_a_scene_that_fails_leaves_nothing(file: Path, tmp_path: Path) -> None:
+def test_a_scene_that_fails_leaves_nothing(file, tmp_path):
     (scene,) = read(file, 1).scenes
     broken = scene.scenario.model_dump(mode="json") | {"plant": {"kind": "recording", "folder": str(tmp_path)}}
     with pytest.raises(LuxloopError):
@@ -120,7 +120,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("words", WRONG)
-def test_a_wrong_file_is_said_in_a_sentence(words: str, lux: Lux, file: Path) -> None:
+def test_a_wrong_file_is_said_in_a_sentence(words, lux, file):
     text = FILE if "scene 5" not in words else FILE.replace("[variants", "[set.x")
     file.write_text(text.replace(*WRONG[words]))
     assert_refused(lux("dataset", "night.toml", "--scenes", "2", "--out", "set"), words)
@@ -128,7 +128,7 @@ def test_a_wrong_file_is_said_in_a_sentence(words: str, lux: Lux, file: Path) ->
     assert not (file.parent / "set").exists()
 
 
-def test_what_is_there_is_what_the_file_says_now(lux: Lux, file: Path, tmp_path: Path) -> None:
+def test_what_is_there_is_what_the_file_says_now(lux, file, tmp_path):
     folder = tmp_path / "set" / "scenes" / "000005"
     assert lux(*ONE_SCENE)[0] == 0
     (tmp_path / "set").rename(tmp_path / "moved")
@@ -143,14 +143,14 @@ def test_what_is_there_is_what_the_file_says_now(lux: Lux, file: Path, tmp_path:
     assert lux(*ONE_SCENE)[0] == 0 and folder.exists()
 
 
-def test_joined_labels_of_scenes_that_are_replaced_do_not_outlive_them(lux: Lux, file: Path, tmp_path: Path) -> None:
+def test_joined_labels_of_scenes_that_are_replaced_do_not_outlive_them(lux, file, tmp_path):
     assert lux(*ONE_SCENE)[0] == 0
     file.write_text(FILE.replace('"coco"', '"kitti"'))
     assert lux(*ONE_SCENE)[0] == 0
     assert sorted(path.name for path in (tmp_path / "set").iterdir()) == ["images.json", "scenes", "scenes.jsonl", "training"]
 
 
-def test_files_of_others_stay(lux: Lux, file: Path, tmp_path: Path) -> None:
+def test_files_of_others_stay(lux, file, tmp_path):
     mine = tmp_path / "set" / "training" / "image_2" / "000000.png"
     mine.parent.mkdir(parents=True)
     mine.write_text("mine")

@@ -4,7 +4,6 @@ import io
 import os
 import zipfile
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,7 +14,6 @@ from luxloop.perception.detection import network as network_file
 from luxloop.perception.detection.build import detector
 from luxloop.perception.detection.detector import NetworkParams, overlaps
 from luxloop.perception.detection.network import STRIDE, Network, NetworkDetector, boxes_of, load, middles, save
-from tests.loop.studies.training.lit import Lit
 from tests.refusal import refusal
 
 SURE = 0.5
@@ -28,7 +26,7 @@ def network(device: torch.device) -> NetworkDetector:
     return found
 
 
-def test_what_is_easily_seen_is_found_in_its_class_by_light_and_not_in_the_dark(network: NetworkDetector, lit: Lit) -> None:
+def test_what_is_easily_seen_is_found_in_its_class_by_light_and_not_in_the_dark(network, lit):
     bright, dark = network.detect(torch.cat([lit.frame(10.0), lit.frame(0.02)]))
     overlap = overlaps(torch.tensor([each.box for each in lit.clear]), bright.boxes.cpu())
     is_found = overlap.amax(1) > 0.5
@@ -38,7 +36,7 @@ def test_what_is_easily_seen_is_found_in_its_class_by_light_and_not_in_the_dark(
     assert not (dark.scores > SURE).any()
 
 
-def test_light_raises_the_score_of_who_does_not_shine(network: NetworkDetector, lit: Lit) -> None:
+def test_light_raises_the_score_of_who_does_not_shine(network, lit):
     people, means = lit.boxes(0), []
     for found in network.detect(torch.cat([lit.frame(lx) for lx in (0.02, 0.3, 10.0)])):
         on_them = overlaps(people, found.boxes.cpu()) > 0.4
@@ -47,7 +45,7 @@ def test_light_raises_the_score_of_who_does_not_shine(network: NetworkDetector, 
     assert means[0] < means[1] < means[2]
 
 
-def test_a_batch_is_its_frames_one_by_one(network: NetworkDetector, lit: Lit) -> None:
+def test_a_batch_is_its_frames_one_by_one(network, lit):
     frames = torch.cat([lit.frame(lx) for lx in (2.0, 10.0, 40.0)])
     for together, frame in zip(network.detect(frames), frames, strict=True):
         (alone,) = network.detect(frame[None])
@@ -56,20 +54,20 @@ def test_a_batch_is_its_frames_one_by_one(network: NetworkDetector, lit: Lit) ->
         torch.testing.assert_close(together.boxes, alone.boxes, atol=0.02, rtol=1e-3)
 
 
-def test_the_surest_is_first_and_boxes_lie_in_the_frame(network: NetworkDetector, lit: Lit) -> None:
+def test_the_surest_is_first_and_boxes_lie_in_the_frame(network, lit):
     (found,) = network.detect(lit.frame(20.0)[:, 20:, 60:])
     best = found.scores.amax(1)
     assert len(found) and torch.equal(best, best.sort(descending=True).values) and (best >= 0.1).all()
     assert (found.boxes >= 0).all() and (found.boxes.cpu() <= torch.tensor([580.0, 340, 580, 340])).all()
 
 
-def test_darkness_is_no_error(network: NetworkDetector) -> None:
+def test_darkness_is_no_error(network):
     (found,) = network.detect(torch.zeros(1, 360, 640))
     assert found.boxes.shape == (0, 4) and found.scores.shape == (0, 4)
 
 
 @pytest.mark.parametrize("size", [(360, 640), (181, 323)])
-def test_cells_tile_the_frame(size: tuple[int, int]) -> None:
+def test_cells_tile_the_frame(size):
     logits, sides = Network(3).eval()(torch.rand(2, 1, *size))
     rows, columns = (-(-side // STRIDE) for side in size)
     assert logits.shape == (2, 3, rows, columns) and (sides > 0).all()
@@ -79,7 +77,7 @@ def test_cells_tile_the_frame(size: tuple[int, int]) -> None:
     torch.testing.assert_close((at - boxes[:, :2]), sides[:, :2], atol=1e-3, rtol=1e-3)  # of positions up to 640 px in float32
 
 
-def test_weights_are_stored_in_half_precision(tmp_path: Path, device: torch.device) -> None:
+def test_weights_are_stored_in_half_precision(tmp_path, device):
     network, frames = Network(2).eval(), torch.rand(1, 1, 64, 96)
     save(network, ("car", "animal"), tmp_path / "weights.pt")
     again, classes = load(tmp_path / "weights.pt", device)
@@ -118,7 +116,7 @@ def unpacking(value: bytes) -> bytes:
         (lambda: unpacking(stored({})), "its weights would take"),
     ],
 )
-def test_weights_of_something_else_are_told_in_a_sentence(given: Callable[[], bytes], words: str, tmp_path: Path) -> None:
+def test_weights_of_something_else_are_told_in_a_sentence(given, words, tmp_path):
     file = tmp_path / "a.pt"
     file.write_bytes(given())
     with refusal(words):
@@ -136,7 +134,7 @@ class Call:
 
 
 @pytest.mark.parametrize("checked", [True, False])
-def test_weights_run_no_code_and_take_no_memory_by_a_number(checked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_weights_run_no_code_and_take_no_memory_by_a_number(checked, tmp_path, monkeypatch):
     """Neither by what their pickle names nor, where that is not checked, in torch."""
     file, made = tmp_path / "a.pt", tmp_path / "made"
     if not checked:
@@ -151,7 +149,7 @@ def test_weights_run_no_code_and_take_no_memory_by_a_number(checked: bool, tmp_p
     assert not made.exists()
 
 
-def test_weights_that_are_not_finite_are_refused(tmp_path: Path) -> None:
+def test_weights_that_are_not_finite_are_refused(tmp_path):
     network = Network(1)
     with torch.no_grad():
         network.head.weight[0] = float("nan")

@@ -14,7 +14,6 @@ from luxloop.perception.detection.build import detector
 from luxloop.perception.detection.detector import NetworkParams, OnnxParams, overlaps
 from luxloop.perception.detection.network import CODE, Network, NetworkDetector, boxes_of
 from luxloop.perception.detection.onnx import OnnxDetector
-from tests.loop.studies.training.lit import Lit
 from tests.refusal import refusal
 
 CPU, FLOAT = torch.device("cpu"), onnx.TensorProto.FLOAT
@@ -59,7 +58,7 @@ def says(numbers: Any, size: tuple[int, int], file: Path) -> str:
     return str(file)
 
 
-def test_our_own_network_exported_finds_what_it_finds_here(lit: Lit, tmp_path: Path) -> None:
+def test_our_own_network_exported_finds_what_it_finds_here(lit, tmp_path):
     ours = detector(NetworkParams(threshold=0.3), CPU)
     assert isinstance(ours, NetworkDetector)
     file = export(AsYolo(ours.network), (1, 360, 640), tmp_path / "ours.onnx")
@@ -86,7 +85,7 @@ LAYOUTS = {
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_layouts_are_understood_and_frames_fitted_in(layout: Any, tmp_path: Path) -> None:
+def test_layouts_are_understood_and_frames_fitted_in(layout, tmp_path):
     """320 x 160 px are fitted into 640 x 640: doubled, with 160 rows of grey above."""
     file = says(LAYOUTS[layout], (640, 640), tmp_path / "says.onnx")
     found = OnnxDetector(OnnxParams(file=file, layout=layout, classes={0: "pedestrian", 1: "animal"}))
@@ -104,7 +103,7 @@ DECODED = DENSE * np.array([416.0, 416, 60, 60, *[1] * 81])
 
 
 @pytest.mark.parametrize("layout", ["yolov5", "yolov8"])
-def test_offsets_that_are_not_decoded_are_refused(layout: Any, tmp_path: Path) -> None:
+def test_offsets_that_are_not_decoded_are_refused(layout, tmp_path):
     for offset in (0.0, -0.9):
         raw = DENSE * np.array([1.0, 1, 4, 4, *[1] * 81]) + np.array([0, 0, offset, offset, *[0] * 81])
         file = says(raw if layout == "yolov5" else raw[:, :84].T, (416, 416), tmp_path / "says.onnx")
@@ -112,7 +111,7 @@ def test_offsets_that_are_not_decoded_are_refused(layout: Any, tmp_path: Path) -
             OnnxDetector(OnnxParams(file=file, layout=layout, input_px=(416, 416)))
 
 
-def test_a_network_like_yolox_is_told_its_white(tmp_path: Path) -> None:
+def test_a_network_like_yolox_is_told_its_white(tmp_path):
     file = says(DECODED, (416, 416), tmp_path / "says.onnx")
     with refusal(r"detector\.white: .*255 for YOLOX"):
         OnnxDetector(OnnxParams(file=file, layout="yolov5", input_px=(416, 416)))
@@ -125,14 +124,14 @@ def test_a_network_like_yolox_is_told_its_white(tmp_path: Path) -> None:
     assert found.detect(torch.ones(1, 64, 64))[0].scores.tolist() == [[pytest.approx(0.9)]]
 
 
-def test_one_class_that_is_always_sure_is_no_class_number(tmp_path: Path) -> None:
+def test_one_class_that_is_always_sure_is_no_class_number(tmp_path):
     """Training with one class leaves its score at 1; centres beside sides are not in the order of corners."""
     file = says([[320.0, 320, 100, 200, 0.9, 1], [100, 200, 60, 40, 0.001, 1]], (640, 640), tmp_path / "says.onnx")
     (found,) = OnnxDetector(OnnxParams(file=file, layout="yolov5", classes={0: "car"})).detect(torch.rand(1, 640, 640))
     assert found.boxes.tolist() == [[270, 220, 370, 420]] and found.scores.tolist() == [[pytest.approx(0.9)]]
 
 
-def test_what_is_not_finite_is_left_out(tmp_path: Path) -> None:
+def test_what_is_not_finite_is_left_out(tmp_path):
     for wrong in (np.nan, np.inf):
         for number in (0, 2, 4):  # of what it says: the middle, the width, a score
             numbers = np.array(LAYOUTS["yolov8"])
@@ -142,7 +141,7 @@ def test_what_is_not_finite_is_left_out(tmp_path: Path) -> None:
             assert found.boxes.tolist() == [pytest.approx([145, 15, 155, 25])] and found.scores[0].tolist() == pytest.approx([0.2, 0.7])
 
 
-def test_what_is_no_network_is_said_in_a_sentence(tmp_path: Path) -> None:
+def test_what_is_no_network_is_said_in_a_sentence(tmp_path):
     (tmp_path / "broken.onnx").write_bytes(b"no network")
     for name, words in (("none.onnx", r"detector.file: .*none.onnx: there is no such file"), ("broken.onnx", "is not a valid ONNX file")):
         with refusal(words):

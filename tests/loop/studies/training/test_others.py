@@ -1,6 +1,5 @@
 """OpenCV's people detector, and detectors of the user's own."""
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,13 +8,12 @@ import torch
 from luxloop import Detections
 from luxloop.perception.detection.build import detector
 from luxloop.perception.detection.detector import HogParams, OwnDetector, overlaps
-from tests.loop.studies.training.lit import Lit
 from tests.refusal import refusal
 
 CPU = torch.device("cpu")
 
 
-def test_hog_finds_a_pedestrian_by_light_and_nobody_in_the_dark(lit: Lit, device: torch.device) -> None:
+def test_hog_finds_a_pedestrian_by_light_and_nobody_in_the_dark(lit, device):
     hog = detector(HogParams(), device)
     assert hog.classes == ("pedestrian",)
     people = lit.boxes(0)
@@ -29,7 +27,7 @@ def test_hog_finds_a_pedestrian_by_light_and_nobody_in_the_dark(lit: Lit, device
     assert not (dark.scores > 0.5).any()
 
 
-def test_hog_takes_frames_smaller_than_its_window_and_empty_ones() -> None:
+def test_hog_takes_frames_smaller_than_its_window_and_empty_ones():
     """OpenCV's window is 64 x 128 px; of a frame smaller than that it reads beyond the end, and the process dies."""
     for size in ((180, 320), (90, 160), (30, 40), (2, 2), (256, 128)):
         (found,) = detector(HogParams(magnify=0.5), CPU).detect(torch.rand(1, *size, generator=torch.Generator().manual_seed(0)))
@@ -58,7 +56,7 @@ class Brightest:
 """
 
 
-def test_a_detector_of_ones_own_is_made_with_its_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_detector_of_ones_own_is_made_with_its_options(tmp_path, monkeypatch):
     (tmp_path / "own_detector_of_a_test.py").write_text(OWN)
     monkeypatch.syspath_prepend(tmp_path)
     brightest = detector(OwnDetector(kind="own_detector_of_a_test:Brightest", options={"size_px": 10}), CPU)
@@ -87,7 +85,7 @@ def own(**options: Any) -> Any:
 
 
 @pytest.mark.parametrize("classes", [None, (), ["car"], ("dog",), "car"])
-def test_classes_of_ones_own_detector_must_be_known(classes: Any) -> None:
+def test_classes_of_ones_own_detector_must_be_known(classes):
     with refusal(r"detector.kind: .*Given: has (no classes|classes = .*); it needs a tuple of some of car"):
         own(classes=classes)
 
@@ -113,12 +111,12 @@ BOXES, SCORES = torch.tensor([[10.0, 20.0, 30.0, 40.0]] * 3), torch.zeros(3, 2)
         (BOXES + 60, SCORES, "middle is outside of the frame of 80 x 60 px"),
     ],
 )
-def test_what_ones_own_detector_gives_is_checked_in_a_run_as_well(boxes: Any, scores: Any, said: str) -> None:
+def test_what_ones_own_detector_gives_is_checked_in_a_run_as_well(boxes, scores, said):
     with refusal(rf"^detector.kind: .*Given: .*{said}"):
         own(boxes=boxes, scores=scores).detect(torch.zeros(2, 60, 80))
 
 
-def test_boxes_that_reach_beyond_the_frame_are_none_the_worse() -> None:
+def test_boxes_that_reach_beyond_the_frame_are_none_the_worse():
     beyond = torch.tensor([[-10.0, -5.0, 30.0, 40.0]])
     for boxes in (beyond, BOXES):
         found = own(boxes=boxes, scores=SCORES[: len(boxes)]).detect(torch.zeros(2, 60, 80))

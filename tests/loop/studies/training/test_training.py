@@ -21,7 +21,7 @@ from luxloop.loop.studies.training.train import LEAST_SCORE, calibrate, draw_sce
 from luxloop.perception.detection.build import WEIGHTS, detector
 from luxloop.perception.detection.detector import NetworkParams
 from luxloop.perception.detection.network import STRIDE, NetworkDetector
-from tests.loop.conftest import Lux, assert_refused
+from tests.loop.conftest import assert_refused
 
 CPU = torch.device("cpu")
 ROOT = Path(__file__).parents[4]
@@ -47,7 +47,7 @@ def plain(distance: float, box: tuple[float, float, float, float] | None = None)
     return DarkScene(torch.full(shape, 1 / math.pi), wall, torch.zeros(shape), torch.zeros(shape), object_id, 0.0, objects)
 
 
-def test_a_scene_reflects_what_its_materials_let_it(row: dict[str, object]) -> None:
+def test_a_scene_reflects_what_its_materials_let_it(row):
     scene = read(row)
     assert scene.shape == (CAMERA.height_px, CAMERA.width_px)
     assert (scene.lamps >= 0).all() and (scene.sky >= 0).all() and (scene.sky <= 1 / math.pi + 1e-3).all()
@@ -58,7 +58,7 @@ def test_a_scene_reflects_what_its_materials_let_it(row: dict[str, object]) -> N
     assert torch.allclose(luminance(scene, 8.0) - luminance(scene, 0.0), 8 * scene.lamps, rtol=1e-3, atol=1e-3)  # own light is up to 3e4
 
 
-def test_parts_and_mirror_images_keep_boxes_on_their_objects(row: dict[str, object]) -> None:
+def test_parts_and_mirror_images_keep_boxes_on_their_objects(row):
     whole, part = read(row), read(row, slice(60, 300), slice(100, 500)).mirror()
     for each in part.objects:
         (same,) = (other for other in whole.objects if other.object_id == each.object_id)
@@ -72,14 +72,14 @@ def test_parts_and_mirror_images_keep_boxes_on_their_objects(row: dict[str, obje
             assert abs(low[1] - each.box[0]) <= 2 and abs(high[0] - each.box[3]) <= 2
 
 
-def test_the_nearer_object_hides_the_farther_one() -> None:
+def test_the_nearer_object_hides_the_farther_one():
     far, near = plain(20.0, (50, 20, 90, 100)), plain(10.0, (70, 20, 110, 100))
     for both in (far.behind(near), near.behind(far)):
         assert sorted((each.visible, each.box[0]) for each in both.objects) == [(0.5, 50), (1.0, 70)]
         assert both.object_id.unique().numel() == 3
 
 
-def test_the_lit_share_of_an_object_is_of_what_is_seen() -> None:
+def test_the_lit_share_of_an_object_is_of_what_is_seen():
     scene = plain(20.0, (50, 20, 90, 100))
     light = torch.zeros(scene.shape)
     light[20:40, 50:90] = WELL_LIT_LX
@@ -90,7 +90,7 @@ def test_the_lit_share_of_an_object_is_of_what_is_seen() -> None:
             assert anything.shape == scene.shape and (anything >= 0).all() and anything.isfinite().all()
 
 
-def test_object_based_light_leaves_heads_dark_and_lights_bodies() -> None:
+def test_object_based_light_leaves_heads_dark_and_lights_bodies():
     scene = plain(20.0, (50, 20, 90, 100))
     light = lit_alone(scene, 20.0, 0.1, {"pedestrian": 0.25}, 0.5, 0.5)
     # 3 px from the edge are 6 of its scales, where 20 lx are less than 0.05 lx from what was asked for
@@ -102,7 +102,7 @@ def test_object_based_light_leaves_heads_dark_and_lights_bodies() -> None:
     assert torch.allclose(darken(scene, whole, scene.objects[0], 0.25, 0.5, 0.5), light)
 
 
-def test_targets_are_the_middles_and_boxes_of_what_must_be_found() -> None:
+def test_targets_are_the_middles_and_boxes_of_what_must_be_found():
     boxes = torch.tensor([[40.0, 40, 80, 140], [200, 60, 300, 120], [320, 100, 340, 160]])
     heat, counts, of_cell, share = targets(boxes, torch.tensor([0, 2, 1]), torch.tensor([True, True, False]))
     assert heat.shape == (4, SIZE[0] // STRIDE, SIZE[1] // STRIDE)
@@ -114,7 +114,7 @@ def test_targets_are_the_middles_and_boxes_of_what_must_be_found() -> None:
     assert float(nothing[0].sum()) == 0 and float(nothing[1].mean()) == 1 and float(nothing[3].sum()) == 0
 
 
-def test_losses_are_least_for_what_is_true() -> None:
+def test_losses_are_least_for_what_is_true():
     boxes = torch.tensor([[40.0, 40, 80, 140], [200, 60, 300, 120]])
     parts = targets(boxes, torch.tensor([0, 2]), torch.tensor([True, True]))
     given = Examples(torch.zeros(1, *SIZE), *(each[None] for each in parts))
@@ -126,7 +126,7 @@ def test_losses_are_least_for_what_is_true() -> None:
     assert float(fit.box_loss(sides * 1.2, given)) > 0.1
 
 
-def test_what_object_based_light_takes_from_a_logit_is_a_loss_of_that_light_alone() -> None:
+def test_what_object_based_light_takes_from_a_logit_is_a_loss_of_that_light_alone():
     parts = targets(torch.tensor([[40.0, 40, 80, 140]]), torch.tensor([2]), torch.tensor([True]))
     given = Examples(torch.zeros(2, *SIZE), *(torch.stack([each, each]) for each in parts))
     logits = torch.zeros(2, 4, *given.share.shape[1:])
@@ -142,7 +142,7 @@ def test_what_object_based_light_takes_from_a_logit_is_a_loss_of_that_light_alon
     assert float(fit.agree_loss(logits, dark).detach()) == 0
 
 
-def test_examples_come_from_a_seed(row: dict[str, object]) -> None:
+def test_examples_come_from_a_seed(row):
     first, again, other = (Examples.draw([row], 3, np.random.default_rng(seed)) for seed in (1, 1, 2))
     assert torch.equal(first.frames, again.frames) and torch.equal(first.heat, again.heat)
     assert not torch.equal(first.frames, other.frames)
@@ -155,7 +155,7 @@ def test_examples_come_from_a_seed(row: dict[str, object]) -> None:
     assert len(same) and same.float().mean() > 0.8  # but where one of two that overlap is dark
 
 
-def test_what_is_too_dark_is_not_there_and_what_is_dim_does_not_count() -> None:
+def test_what_is_too_dark_is_not_there_and_what_is_dim_does_not_count():
     scene = plain(20.0, (50, 20, 90, 100))
     dark, dim, lit = (fit.example(scene, torch.full(scene.shape, lx), 1.0, np.random.default_rng(0)) for lx in (0.1, 1.0, 10.0))
     middle = (60 * SIZE[0] // 120 // STRIDE, 70 * SIZE[1] // 200 // STRIDE)
@@ -172,7 +172,7 @@ ONE = SceneObject(1, 0, (10.0, 10.0, 30.0, 60.0), 1.0, 1.0)
 SMALL = replace(ONE, box=(200.0, 0.0, 210.0, 20.0))  # too small to be asked for
 
 
-def test_metrics_count_what_is_found_missed_and_false() -> None:
+def test_metrics_count_what_is_found_missed_and_false():
     objects = [ONE, replace(ONE, label=2, box=(100.0, 10.0, 160.0, 50.0)), SMALL]
     boxes = torch.tensor([[10.0, 10, 30, 58], [11, 10, 30, 60], [101, 10, 160, 50], [200, 0, 210, 20], [300, 300, 340, 380]])
     scores = torch.tensor([[0.9, 0, 0, 0], [0.2, 0, 0, 0], [0.1, 0.6, 0.4, 0], [0.5, 0, 0, 0], [0, 0, 0, 0.7]])
@@ -184,7 +184,7 @@ def test_metrics_count_what_is_found_missed_and_false() -> None:
     assert (nothing.found, nothing.confidences, nothing.false) == ((False, False), (0.0, 0.0), 0)
 
 
-def test_the_shipped_weights_are_as_good_as_their_report_says_on_one_scene(row: dict[str, object]) -> None:
+def test_the_shipped_weights_are_as_good_as_their_report_says_on_one_scene(row):
     report = json.loads(REPORT.read_text("utf-8"))
     found = evaluate(detector(NetworkParams(threshold=0.01), CPU), [row])
     assert found["alone"]["objects"] >= 2 and abs(found["alone"]["median_change"]) < 0.1
@@ -193,13 +193,13 @@ def test_the_shipped_weights_are_as_good_as_their_report_says_on_one_scene(row: 
     assert median[0.05] < 0.1 < 0.4 < median[10.0]
 
 
-def test_the_page_says_what_the_report_says() -> None:
+def test_the_page_says_what_the_report_says():
     text = page(json.loads(REPORT.read_text("utf-8")))
     assert text in (ROOT / "docs" / "detectors.md").read_text("utf-8")
     assert REPORT.with_suffix(".md").read_text("utf-8").endswith(text)
 
 
-def test_a_network_that_has_learnt_nothing_is_refused(lux: Lux, tmp_path: Path) -> None:
+def test_a_network_that_has_learnt_nothing_is_refused(lux, tmp_path):
     """From a scene with nobody in it nothing can be learnt."""
     out = tmp_path / "out"
     draw_scenes(out, TRAINING, 1, local(1), "scene")
@@ -217,7 +217,7 @@ def test_a_network_that_has_learnt_nothing_is_refused(lux: Lux, tmp_path: Path) 
     assert code == 2 and f"remove {out / 'scenes.jsonl'}" in error
 
 
-def test_weights_and_report_are_stored_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_weights_and_report_are_stored_whole_or_not_at_all(tmp_path):
     ours, report = shipped(), json.loads(REPORT.read_text("utf-8"))
     with pytest.raises(ValueError, match="JSON"):
         store(ours, report | {"ms_a_frame": math.nan}, tmp_path)
@@ -237,7 +237,7 @@ def shipped() -> NetworkDetector:
     return found
 
 
-def test_a_wrong_slope_is_calibrated_away(row: dict[str, object]) -> None:
+def test_a_wrong_slope_is_calibrated_away(row):
     ours, other = shipped(), shipped()
     ours.network.calibrate(0.3, 0.0)  # as it was learnt: far from 1, where scores are cut off
     other.network.calibrate(0.15, 0.1)
@@ -253,7 +253,7 @@ def test_a_wrong_slope_is_calibrated_away(row: dict[str, object]) -> None:
         calibrate(upside_down, [row])
 
 
-def test_a_logistic_curve_is_found_again() -> None:
+def test_a_logistic_curve_is_found_again():
     x = torch.linspace(-4, 4, 4000).double()
     rng = np.random.default_rng(0)
     right = torch.tensor(rng.random(4000)) < (2 * x - 1).sigmoid()
@@ -262,7 +262,7 @@ def test_a_logistic_curve_is_found_again() -> None:
     assert np.isfinite(logistic(x, (x > 0).double())).all() and np.isfinite(logistic(x[:0], x[:0])).all()
 
 
-def test_boxes_are_right_once_an_object() -> None:
+def test_boxes_are_right_once_an_object():
     boxes = torch.tensor([[10.0, 10, 30, 58], [11, 10, 30, 60], [10, 10, 30, 60], [200, 10, 210, 20], [300, 300, 340, 380]])
     scores = torch.tensor([[0.8, 0], [0.9, 0], [0, 0.7], [0.6, 0], [0.5, 0]])
     # the second box is the surest on the object, the third of another class, the fourth on half of what is too small
@@ -271,7 +271,7 @@ def test_boxes_are_right_once_an_object() -> None:
     assert found == [(pytest.approx(score), right) for score, right in expected]
 
 
-def test_numbers_that_make_no_sense_are_refused(lux: Lux) -> None:
+def test_numbers_that_make_no_sense_are_refused(lux):
     for key, value, least in (("epochs", "0", 1), ("jobs", "0", 1), ("seed", "-1", 0)):
         assert_refused(lux("train-detector", "--out", "set", f"--{key}", value), f"for --{key}; must be >= {least}")
     assert not Path("set").exists()
