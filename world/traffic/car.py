@@ -20,7 +20,7 @@ STYLES: dict[Style, tuple[tuple[float, float, float], tuple[float, float, float,
 LOW_BEAM_CD, LOW_BEAM_WIDTH_DEG, LOW_BEAM_DOWN_DEG = 15_000.0, (14.0, 1.6), 2.5
 TAIL_CD = 8.0
 WHEEL_M = 0.32
-CLEARANCE_M = 0.02  # of the arches over the road
+CLEARANCE_M = 1e-3  # of the arches over the road, which the tyres touch
 
 
 class CarParams(RandomParams):
