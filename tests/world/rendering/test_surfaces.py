@@ -104,6 +104,13 @@ def test_a_thin_wall_shades_what_stands_close_behind_it():
     assert sees(Scene((wall,)).at(0.0), torch.tensor([0.0, 0, 0.6]).double(), points).tolist() == [False, True]
 
 
+def test_one_sees_out_of_a_closed_box_and_not_into_it():
+    box = BoxParams(name="box", size_m=(2, 2, 2), track=[{"position_m": (5, 0, 0)}]).build()
+    within, beyond = torch.tensor([5.0, 0.1, 1.0]).double(), torch.tensor([9.0, 0.2, 1.1]).double()
+    triangles = Scene((box,)).at(0.0)
+    assert sees(triangles, within, beyond[:, None]).all() and not sees(triangles, beyond, within[:, None]).any()
+
+
 def test_a_view_that_moves_sees_what_a_standing_one_sees_of_a_world_that_moves_the_other_way(surfaces):
     T = pose_from_degrees((3.0, -0.4, 0.05), 1.0, 0.7, 4.0)
     view = camera()
