@@ -32,7 +32,7 @@ class WarpParams(Params):
 
 
 @dataclass(frozen=True)
-class WarpingState:
+class WarpState:
     """State of the warp stage.
 
     inner: the controller's state. residual: 1 minus IoU of the best projection, or of the controller's last. best: projection with the
@@ -47,22 +47,22 @@ class WarpingState:
     share: float = 1.0
 
 
-class Warping:
+class WarpStage:
     """Draws the controller's projection until its residual stops falling, then warps the symbol by successive registrations."""
 
     def __init__(self, params: WarpParams, inner: SymbolController, sensor: SymbolSensor) -> None:
         self.params, self.inner, self.projector = params, inner, sensor.projector
         self.alignment = Alignment.prepare(sensor)
 
-    def start(self, pose: Tensor) -> WarpingState:
+    def start(self, pose: Tensor) -> WarpState:
         """The initial state, whose command shows the pose `[4]`."""
-        return WarpingState(self.inner.start(pose))
+        return WarpState(self.inner.start(pose))
 
-    def projection(self, state: WarpingState, ego: Ego | None) -> ProjectionCommand:
+    def projection(self, state: WarpState, ego: Ego | None) -> ProjectionCommand:
         """The projection on trial, or the controller's."""
         return state.projection or self.inner.projection(state.inner, ego)
 
-    def step(self, state: WarpingState, observation: Observation) -> WarpingState:
+    def step(self, state: WarpState, observation: Observation) -> WarpState:
         """Keep a warp that lowers the residual, else halve the step; hand a lost symbol back to the controller."""
         code = observation.measurement.code
         lost = code != ExtractionStatus.SEEN
@@ -80,8 +80,8 @@ class Warping:
         seen = replace(state, residual=residual, best=state.projection, share=1.0 if changed else state.share)
         return self._try(seen, self.alignment.register(image, self.params.kind), image)
 
-    def _follow(self, state: WarpingState, observation: Observation, lost: bool) -> WarpingState:
-        following = WarpingState(self.inner.step(state.inner, observation))
+    def _follow(self, state: WarpState, observation: Observation, lost: bool) -> WarpState:
+        following = WarpState(self.inner.step(state.inner, observation))
         if lost:
             return following
         image = self.alignment.image(observation.measurement)
@@ -94,7 +94,7 @@ class Warping:
             return following
         return self._try(replace(following, best=observation.shown.projection), placement, image)
 
-    def _try(self, state: WarpingState, placement: Placement, image: Tensor) -> WarpingState:
+    def _try(self, state: WarpState, placement: Placement, image: Tensor) -> WarpState:
         assert state.best is not None
         drop = state.residual - float(self.alignment.residual(self.alignment.undo(image, placement)))
         if drop < self.params.least_drop:
@@ -124,7 +124,7 @@ class SupervisorParams(Params):
 
 
 @dataclass(frozen=True)
-class SupervisingState:
+class SupervisorState:
     """State of the supervisor.
 
     inner: state of the controller in charge, None for the open loop. opened: last residual of the open loop. observations: number of
@@ -137,7 +137,7 @@ class SupervisingState:
     failed: float | None = None
 
 
-class Supervising:
+class Supervisor:
     """Begins with the open loop; the controller takes over on uneven roads while its residual is lower."""
 
     def __init__(self, params: SupervisorParams, inner: SymbolController, sensor: SymbolSensor) -> None:
@@ -145,15 +145,15 @@ class Supervising:
         self.alignment = Alignment.prepare(sensor)
         self.flat = ProjectionCommand(self.target)
 
-    def start(self, pose: Tensor) -> SupervisingState:
+    def start(self, pose: Tensor) -> SupervisorState:
         """The open loop, whatever the pose `[4]`."""
-        return SupervisingState()
+        return SupervisorState()
 
-    def projection(self, state: SupervisingState, ego: Ego | None) -> ProjectionCommand:
+    def projection(self, state: SupervisorState, ego: Ego | None) -> ProjectionCommand:
         """The projection of the open loop or of the controller."""
         return self.flat if state.inner is None else self.inner.projection(state.inner, ego)
 
-    def step(self, state: SupervisingState, observation: Observation) -> SupervisingState:
+    def step(self, state: SupervisorState, observation: Observation) -> SupervisorState:
         """Compare the residuals, then step the controller in charge."""
         seen = observation.measurement
         if seen.code == ExtractionStatus.NO_FRAME:
@@ -166,10 +166,10 @@ class Supervising:
         if opened:
             return replace(state, opened=residual, inner=self.inner.step(state.inner, observation))
         if state.observations >= self.params.grace_steps and residual >= state.opened:
-            return SupervisingState(failed=state.opened)
+            return SupervisorState(failed=state.opened)
         return replace(state, observations=state.observations + 1, inner=self.inner.step(state.inner, observation))
 
-    def _try(self, residual: float, image: Tensor, state: SupervisingState, observation: Observation) -> SupervisingState:
+    def _try(self, residual: float, image: Tensor, state: SupervisorState, observation: Observation) -> SupervisorState:
         """Hand over to the controller, unless it failed at this residual or registration explains too little."""
         if observation.measurement.code != ExtractionStatus.SEEN or (
             state.failed is not None and abs(residual - state.failed) < self.params.changed
@@ -178,8 +178,8 @@ class Supervising:
         placement = self.alignment.register(image, "homography+mesh")
         left = float(self.alignment.residual(self.alignment.undo(image, placement)))
         if left > (1 - self.params.explained) * residual:
-            return SupervisingState(failed=residual)
-        return SupervisingState(self.inner.step(self.inner.start(self.target), observation), residual)
+            return SupervisorState(failed=residual)
+        return SupervisorState(self.inner.step(self.inner.start(self.target), observation), residual)
 
 
 SURE = 0.85  # correlation above which a new road shape is accepted although the symbol is seen on the present one; on grades it exceeds 0.9
@@ -187,7 +187,7 @@ LOSSES = 4  # losses in a row after which a road shape is dropped: more than con
 
 
 @dataclass(frozen=True)
-class LiftingState:
+class RoadStageState:
     """State. inner: of the controller. shape: `[4]` of the assumed road, None for z = 0. losses: losses in a row."""
 
     inner: Any
@@ -195,36 +195,36 @@ class LiftingState:
     losses: int = 0
 
 
-class Lifting:
+class RoadStage:
     """The controller draws and measures as on z = 0; on every newly relocalised road it restarts at the target."""
 
     def __init__(self, inner: SymbolController, sensor: SymbolSensor) -> None:
         self.inner, self.sensor, self.projector = inner, sensor, sensor.projector
 
-    def start(self, pose: Tensor) -> LiftingState:
+    def start(self, pose: Tensor) -> RoadStageState:
         """The initial state, whose command shows the pose `[..., 4]`."""
-        return LiftingState(self.inner.start(pose))
+        return RoadStageState(self.inner.start(pose))
 
-    def projection(self, state: LiftingState, ego: Ego | None) -> ProjectionCommand:
+    def projection(self, state: RoadStageState, ego: Ego | None) -> ProjectionCommand:
         """The controller's projection on the relocalised road."""
         projection = self.inner.projection(state.inner, ego)
         return projection if state.shape is None else replace(projection, shape=state.shape)
 
-    def step(self, state: LiftingState, observation: Observation) -> LiftingState:
+    def step(self, state: RoadStageState, observation: Observation) -> RoadStageState:
         """Step the controller with observations of light for the present road shape; others belong to another plant."""
         if not _same(observation.shown.projection.shape, state.shape):
             return state
         shape, losses = self._road(state, observation)
         if not _same(shape, state.shape):
-            return LiftingState(self.inner.start(self.projector.target), shape)
+            return RoadStageState(self.inner.start(self.projector.target), shape)
         if shape is not None:
             projection = replace(observation.shown.projection, shape=None)
             observation = replace(
                 observation, shown=replace(observation.shown, projection=projection, lights=self.projector.draw(projection))
             )
-        return LiftingState(self.inner.step(state.inner, observation), shape, losses)
+        return RoadStageState(self.inner.step(state.inner, observation), shape, losses)
 
-    def _road(self, state: LiftingState, observation: Observation) -> tuple[Tensor | None, int]:
+    def _road(self, state: RoadStageState, observation: Observation) -> tuple[Tensor | None, int]:
         """The road shape after an observation, None on the move, and the number of losses in a row."""
         moving = observation.ego is not None and not observation.ego.stands
         seen = observation.measurement
@@ -258,10 +258,10 @@ class StagedParams(Params):
 def with_stages(params: StagedParams, controller: SymbolController, sensor: SymbolSensor) -> SymbolController:
     """The controller with the stages that its parameters name, and with drawing on the relocalised road."""
     if params.warp is not None:
-        controller = Warping(params.warp, controller, sensor)
+        controller = WarpStage(params.warp, controller, sensor)
     if params.supervisor is not None:
-        controller = Supervising(params.supervisor, controller, sensor)
-    return Lifting(controller, sensor)
+        controller = Supervisor(params.supervisor, controller, sensor)
+    return RoadStage(controller, sensor)
 
 
 KEY = "controller.name"

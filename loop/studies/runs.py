@@ -15,7 +15,7 @@ from luxloop.controllers.symbol.feedback import FeedbackParams
 from luxloop.controllers.symbol.sensing.field import cut
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
-from luxloop.controllers.symbol.stages import Lifting, StagedParams
+from luxloop.controllers.symbol.stages import RoadStage, StagedParams
 from luxloop.loop.recording.functions_summary import summary_of
 from luxloop.loop.recording.manifest import digests, table_of
 from luxloop.loop.recording.record import row, schema
@@ -229,7 +229,7 @@ def _steps(copies: Copies, simulations: Sequence[Simulation]) -> tuple[list[_Ste
     like, target = copies.simulation.scenario, copies.projector.target
     symbols, plant = [each.symbol for each in simulations], world_plant(copies.simulation.plant, "a batch")
     plants = [replace(plant, seed=each.scenario.seed, disturbances=each.scenario.disturbances) for each in simulations]
-    lifted = any(isinstance(each.controller, Lifting) for each in symbols)
+    lifted = any(isinstance(each.controller, RoadStage) for each in symbols)
     looks, shown, searching = list[list[Measurement]](), list[tuple[Tensor, Metrics | None]](), set[int]()
 
     def look(projection: ProjectionCommand, step: int) -> Measurement:

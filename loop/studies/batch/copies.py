@@ -193,7 +193,7 @@ class Copies:
         return Metrics(*(torch.cat(each) for each in zip(*(vars(each).values() for each in found), strict=True)))
 
     def finds_another_road(self, light: SymbolLight, k: int, conditions: Conditions) -> bool:
-        """Whether a single run finds another road than the plane z = 0 in the frames of the k-th copy, by the rule of `Lifting`."""
+        """Whether a single run finds another road than the plane z = 0 in the frames of the k-th copy, by the rule of `RoadStage`."""
         height, width = self.view.base.shape
         on = self._resting.clone()
         on[light.part.crop.slices] += light.added[k]

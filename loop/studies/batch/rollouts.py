@@ -13,7 +13,7 @@ from luxloop.controllers.symbol.feedback import Feedback, ThesisPid, ThesisPidPa
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation, Projection, SymbolController
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
-from luxloop.controllers.symbol.stages import Lifting
+from luxloop.controllers.symbol.stages import RoadStage
 from luxloop.loop.simulation.result import Rollout
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.batch import copies
@@ -76,7 +76,7 @@ def rollouts(simulation: Simulation, values: dict[str, Tensor], *, quantise: boo
 
 def rollouts_by(look: Look, simulation: Simulation, values: dict[str, Tensor]) -> Rollout:
     """Runs as of `rollouts` with another measurement."""
-    assert isinstance(simulation.symbol.controller, Lifting)  # without search for another road
+    assert isinstance(simulation.symbol.controller, RoadStage)  # without search for another road
     law = with_gains(simulation.symbol.controller.inner, values)
     (batch,) = {len(value) for value in values.values()}
     start = simulation.symbol.start().controller.inner.pid.output.expand(batch, -1).to(next(iter(values.values())))
@@ -114,7 +114,7 @@ def with_gains(controller: Any, values: dict[str, Tensor]) -> ThesisPid:
 
 def stack_laws(controllers: Sequence[SymbolController]) -> SymbolController:
     """One law from controllers of one kind, lifted or not, with the values of each in a row `[B, ...]`."""
-    laws: list[Any] = [each.inner if isinstance(each, Lifting) else each for each in controllers]
+    laws: list[Any] = [each.inner if isinstance(each, RoadStage) else each for each in controllers]
     first = laws[0]
 
     def rows(*names: str) -> dict[str, Any]:

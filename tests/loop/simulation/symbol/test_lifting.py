@@ -8,7 +8,7 @@ import torch
 from luxloop import ExtractionStatus, Observation, ProjectionCommand, Simulation, load
 from luxloop.controllers.symbol.sensing.protocol import Projection
 from luxloop.controllers.symbol.sensing.relocalisation import Relocalisation
-from luxloop.controllers.symbol.stages import LOSSES, Lifting
+from luxloop.controllers.symbol.stages import LOSSES, RoadStage
 from luxloop.perception.metrics import Metrics
 from luxloop.world.frames import inverse, pose, rotation, transform
 from tests.loop.conftest import simulation_of
@@ -92,7 +92,7 @@ def test_feedback_settles_on_a_grade_near_the_bound(name, percent, least):
 
 def test_a_shape_begins_the_controller_anew_and_is_given_up_where_nothing_is_seen(flat):
     lifting = flat.symbol.controller
-    assert isinstance(lifting, Lifting)
+    assert isinstance(lifting, RoadStage)
     start = torch.tensor([15.0, 1.5, 0.08, -0.03])
     before = lifting.start(start)
     lost = flat.symbol.sensor.lost(start, ExtractionStatus.NOTHING)
