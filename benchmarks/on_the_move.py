@@ -4,6 +4,7 @@ Mean intersection over union after step 10 (docs/control.md, "On the move"). Sen
 same in time; or without errors, in time. Beside them stands what drawing for the true road from the body's true pose gives: the bound.
 """
 
+import sys
 from argparse import Namespace
 from typing import Any
 
@@ -57,6 +58,8 @@ def mean_iou(given: Namespace, row: str, column: str) -> float:
 
 
 def measure(given: Namespace) -> dict[str, Any]:
+    if wrong := set(given.only) - given.rows.keys():
+        sys.exit(f"--only: unknown {', '.join(wrong)}; known are {', '.join(given.rows)}")
     found = {row: {column: mean_iou(given, row, column) for column in given.columns} for row in given.only}
     show("Mean IoU", found)
     return {"steps": given.steps, "results": found}

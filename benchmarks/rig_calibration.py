@@ -4,6 +4,7 @@
 """
 
 import itertools
+import sys
 from argparse import Namespace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -104,6 +105,8 @@ def figures(of: Rig, found: ModuleMeasurement) -> dict[str, float]:
 
 
 def measure(given: Namespace) -> dict[str, Any]:
+    if wrong := {*given.only} - given.cases.keys() | {given.lamp} - given.lamps.keys():
+        sys.exit(f"unknown {', '.join(wrong)}; lamps are {', '.join(given.lamps)}, cases {', '.join(given.cases)}")
     rows = {}
     with TemporaryDirectory() as folder:
         scenario = uneven_wall(given, given.lamp, Path(folder))

@@ -4,6 +4,7 @@ Standing roads, late frames, drives and disturbances, and in each of these world
 earlier run in the same folder was. `--quick`: one seed, two latencies. Prints the tables of docs/results/symbol_control.md.
 """
 
+import sys
 from argparse import Namespace
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -28,6 +29,8 @@ SymbolMetrics = Mapping[str, Mapping[str, Any]]  # by controller
 
 def worlds(given: Namespace) -> Iterator[World]:
     """All worlds but those whose road was measured and is not here."""
+    if given.seeds > len(given.rough):
+        sys.exit(f"--seeds: at most {len(given.rough)}")
     for seed in range(given.seeds):
         for kind, (name, *changes) in given.standing.items():
             steps = {"steps": given.steps} if load(name).steps == 40 else {}  # boxes need the time that they are given

@@ -39,7 +39,7 @@ def in_order(low: str, high: str, strict: bool = True) -> Any:
     def check(self: Any) -> Any:
         least, most = getattr(self, low), getattr(self, high)
         if least is not None and most is not None and (most < least or (strict and most == least)):
-            raise ValueError(f"{high}: {most:g} is {'not above' if strict else 'below'} {low} = {least:g}; raise it, or lower {low}")
+            raise ValueError(f"{high}: {most:g} is {'not above' if strict else 'below'} {low} = {least:g}; raise {high}, or reduce {low}")
         return self
 
     return model_validator(mode="after")(check)

@@ -17,7 +17,7 @@ from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import ModuleCommand
 from luxloop.world.rendering.raycast import sees
 from luxloop.world.scene.scene import StreetLamp
-from luxloop.world.scene.triangles import Group, Triangles
+from luxloop.world.scene.triangles import Triangles
 from luxloop.world.texels import TexelGrid
 
 Caster = Callable[[Tensor, Tensor], Tensor]  # (points [3, N], target [3]) -> [N] bool: whether the target is occluded
@@ -31,8 +31,7 @@ def scene_caster(triangles: Triangles, T_world_points: Tensor | None = None) -> 
 
     The road casts no shadow, since a primitive 1 cm below the road would be occluded everywhere.
     """
-    groups = (tuple(placed for placed in group.placed if placed.object_id != 0) for group in triangles.groups)
-    casting = Triangles(tuple(Group(bodies) for bodies in groups if bodies))
+    casting = Triangles(tuple(group.off_road for group in triangles.groups if group.off_road.placed))
 
     def occluded(points: Tensor, target: Tensor) -> Tensor:
         if T_world_points is not None:

@@ -54,7 +54,8 @@ class Tally:
         added = row(result)
         if self._idle:
             self._idle &= self.simulation.idle(result)
-        self._waiting &= self.simulation.waiting(result)
+        if self._waiting:
+            self._waiting &= self.simulation.waiting(result)
         self._last |= dict.fromkeys(result.held, result)
         self._covered |= {name: result for name, each in result.held.items() if each.measurement.code == ExtractionStatus.COVERED}
         if result.detections is not None:

@@ -4,8 +4,7 @@ import base64
 import select
 import socket
 import time
-from http.client import HTTPException, parse_headers
-from typing import Any
+from collections.abc import Mapping
 from urllib.parse import unquote, urljoin, urlsplit
 from urllib.request import AbstractDigestAuthHandler, HTTPPasswordMgrWithDefaultRealm, Request, parse_http_list, parse_keqv_list
 
@@ -88,21 +87,25 @@ class HttpCamera:
         with reaching("camera.url", address):
             return socket.create_connection((host, port), SLOW_S)
 
-    def _ask(self, address: str, login: str) -> tuple[str, Any]:
-        """Status and head of the server's answer."""
+    def _ask(self, address: str, login: str) -> tuple[str, Mapping[str, str]]:
+        """Status and head of the server's answer, names in lower case."""
         url = urlsplit(address)
         lines = [f"GET {url.path or '/'}{f'?{url.query}' if url.query else ''} HTTP/1.0", f"Host: {url.hostname}"]
         lines += ["Accept: multipart/x-mixed-replace, image/*", *([f"Authorization: {login}"] if login else [])]
         self._stream.socket.sendall("\r\n".join([*lines, "", ""]).encode())
         first = self._stream.readline(MOST_HEAD).decode("latin-1").split(None, 2)
+        head, left = dict[str, str](), MOST_HEAD
         if len(first) < 2 or not first[0].startswith("HTTP/"):
-            return "no HTTP", {}
-        try:
-            return first[1], parse_headers(self._stream)
-        except HTTPException as error:
-            raise LuxloopError("camera: the head of its answer does not end; check the address") from error
+            return "no HTTP", head
+        while (line := self._stream.readline(left)).strip():
+            left -= len(line)
+            if left <= 0:
+                raise LuxloopError("camera: the head of its answer does not end; check the address")
+            name, _, value = line.decode("latin-1").partition(":")
+            head[name.lower()] = value.strip()
+        return first[1], head
 
-    def _refuse_others(self, status: str, head: Any) -> None:
+    def _refuse_others(self, status: str, head: Mapping[str, str]) -> None:
         if status != "200":
             raise LuxloopError(f"camera.url: {self._url} answers with {status}, not with pictures; check the path, and the login")
         if "chunked" in head.get("transfer-encoding", "").lower():

@@ -76,7 +76,8 @@ class Run:
 
     @property
     def key(self) -> str:
-        names = (self.row[name] for name in ("scenario", "controller", "variant"))
+        row = self.row
+        names = (row[name] for name in ("scenario", "controller", "variant"))
         return ", ".join([*filter(None, names), f"seed {self.params.seed}"])
 
 

@@ -56,6 +56,12 @@ class Group:
     placed: tuple[Instance, ...]
 
     @cached_property
+    def off_road(self) -> "Group":
+        """The group without the road, whose object id is 0."""
+        bodies = tuple(each for each in self.placed if each.object_id != 0)
+        return self if len(bodies) == len(self.placed) else Group(bodies)
+
+    @cached_property
     def embree(self) -> tuple[EmbreeMesh, Tensor]:
         """Embree's copy, and `[4, 4]` float64 from the world to its frame: that of the body, or one in the middle of several."""
         if len(self.placed) == 1:

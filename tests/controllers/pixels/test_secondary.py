@@ -47,6 +47,12 @@ def test_an_observer_does_not_see_behind_a_box():
     assert visible_from(batch, eye, occluded).tolist() == [[True, False, True, True], [True, True, False, True]]
 
 
+def test_casters_of_one_scene_share_its_embree_copy():
+    triangles = Scene((Body("road", trimesh.creation.box((9, 9, 0.02))), box(10, 0, 1, (1, 2, 2)))).at(0.0)
+    first, second = ([group.off_road.embree for group in triangles.groups] for _ in range(2))
+    assert all(a is b for a, b in zip(first, second, strict=True))
+
+
 def test_an_observer_sees_out_of_their_own_body():
     occluded = scene_caster(Scene((Body("road", trimesh.creation.box((1, 1, 1))), box(8, 0, 0.85, (1.8, 0.5, 1.7)))).at(0.0))
     eye = torch.tensor([8.0, 0.0, 1.6], dtype=torch.float64)

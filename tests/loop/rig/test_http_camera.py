@@ -16,7 +16,7 @@ from luxloop.loop.rig.http_camera import HttpCamera
 from luxloop.loop.rig.params import HttpCameraParams
 from tests.refusal import refusal
 
-HEAD = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n\r\n"
+HEAD = b"HTTP/1.0 200 OK\r\nServer stupid\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n\r\n"
 PART = b"Content-Type: image/jpeg\r\nContent-Length: %s3\r\n\r\nabc\r\n--frame\r\n"
 MOVED = b"HTTP/1.0 302 Found\r\nLocation: http://127.0.0.1:%(port)s/there?x=1\r\n\r\n"
 CHALLENGE = b'HTTP/1.0 401 No\r\nWWW-Authenticate: Digest realm="cam", nonce="n1", qop="auth", algorithm=MD5\r\n\r\n'
