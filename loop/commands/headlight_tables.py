@@ -170,6 +170,8 @@ def check(
     default the beam's in RULE_OF_BEAM. Raises LuxloopError for an unknown beam or rule, and for a beam without a rule.
     """
     rules = None if rule is None else rule_set(rule)
+    if beam is not None:
+        lamp.beam(beam)
     if rules is None and (beam or lamp.default_beam) not in RULE_OF_BEAM:
         why = f"{lamp.name} has no low beam, whose rule would be the default" if beam is None else f"no rule is known for beam {beam!r}"
         raise LuxloopError(f"{why}; name a rule with --rule, `luxloop headlight rules` lists them")

@@ -154,8 +154,11 @@ def tune(
     from luxloop.loop.studies.tune_report import do_tune
 
     tuned = tuple(ranges.parse(each, scenarios) for each in key or [])
-    task = Task(scenarios, tuned, objectives.parse(objective), seeds, seed, str(torch_device(device)))
-    played_by = shlex.join([names[0], *([] if controller is None else ["--controller", controller])])
+    cost = objectives.parse(objective)
+    for scenario in scenarios:
+        cost.refuse(scenario)
+    task = Task(scenarios, tuned, cost, seeds, seed, str(torch_device(device)))
+    played_by = shlex.join([names[0], *([] if controller is None else ["--controller", controller]), *(["--set", *set] if set else [])])
     do_tune(task, out or Path("runs") / f"tune-{Path(names[0]).stem}", trials, jobs, gradient, played_by)
 
 

@@ -83,11 +83,11 @@ def _line(outcome: Summary) -> str:
     unit = "" if outcome["unit"] in ("", "1") else f" {outcome['unit']}"
     over = "" if outcome["over_s"] is None else f" over {outcome['over_s']:g} s"
     parts = [f"{outcome['take']} {outcome['metric']}{over}"]
-    ends_s = outcome["run_until_s"]
+    ends_s, why = outcome["run_until_s"], list[str]()
     if ends_s is not None and outcome["from_s"] > ends_s + ROUNDING_S:
-        parts.append(f"begins at {outcome['from_s']:g} s, the run ends at {ends_s:.4g} s; raise steps")
+        why = [f"begins at {outcome['from_s']:g} s, the run ends at {ends_s:.4g} s (raise steps)"]
     elif outcome["value"] is None:
-        parts.append(NOTHING)
+        why = [NOTHING]
     else:
         parts[0] += f" {outcome['value']:.4g}{unit}"
         if outcome["compare"] is not None:
@@ -96,7 +96,7 @@ def _line(outcome: Summary) -> str:
     for bound in (each for each in ("at_least", "at_most") if outcome[each] is not None):
         given = f"{100 * outcome[bound]:.4g} %" if outcome["recall"] is not None else f"{outcome[bound]:g}{of_bound}"
         parts.append(f"{bound.replace('_', ' ')} {given}")
-    return f"{', '.join(parts)}: {'passed' if outcome['passed'] else 'failed'}"
+    return f"{', '.join(parts + why)}: {'passed' if outcome['passed'] else 'failed'}"
 
 
 def _comparison(outcome: Summary, unit: str) -> str:

@@ -282,7 +282,10 @@ def only(held: Iterable[str]) -> str:
     """Name of the only symbol under control. Raises LuxloopError where there are several or none."""
     names = tuple(held)
     if len(names) != 1:
-        raise LuxloopError(f"symbols that a controller holds: {', '.join(names) or 'none'}, where exactly one is needed")
+        raise LuxloopError(
+            f"symbols that a controller holds: {', '.join(names) or 'none'}, where exactly one is needed; take another scenario, "
+            f"or give one function of kind 'symbol' a controller"
+        )
     return names[0]
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from luxloop.world import plugin
-from luxloop.world.errors import LuxloopError
+from luxloop.world.errors import LuxloopError, near
 from luxloop.world.validation import parsed_toml, read_toml
 
 Override = str | Mapping[str, Any]
@@ -124,6 +124,8 @@ def _merge(into: dict[str, Any], changes: Mapping[str, Any], within: str = "") -
             )
         elif isinstance(old, dict) and isinstance(value, dict) and _same_variant(old, value):
             _merge(old, value, whole)
+        elif within == "functions" and isinstance(value, dict) and "kind" not in value and (meant := near(key, into)) and key not in into:
+            raise LuxloopError(f"{whole}: there is no function {key!r}; did you mean {meant!r}? A new one needs a kind")
         else:
             into[key] = value
 

@@ -112,6 +112,8 @@ def run_campaign(file: Path, out: Path, *, device: str = "cpu", executor: Execut
         Job(each.key, {"scenario": each.scenario.model_dump(mode="json"), "inputs": digests(each.scenario), "device": device})
         for each in runs
     ]
+    if out.is_dir() and any(out.iterdir()) and not (out / JOBS).exists():
+        raise LuxloopError(f"{out}: holds files that are no campaign; give an empty or a new folder with --out")
     with output_folder(out):
         results = run(figures_of, jobs, out / JOBS, version=digest_of_code(), executor=executor, title="runs", kind=kind_of)
         given = {"scenario", "inputs", "device", "controller"}  # parameters of a job; the last is a figure of a symbol

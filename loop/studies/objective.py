@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from luxloop.loop.scenario.model import Scenario
 from luxloop.world.errors import LuxloopError, did_you_mean
 
 FAILED = 2.0  # cost of a term without a value, and the maximum: as if the symbol settled after twice the run
@@ -28,6 +29,14 @@ class Objective:
 
     def __str__(self) -> str:
         return "+".join(name if weight == 1 else f"{weight:g}*{name}" for name, weight in self.weights.items())
+
+    def refuse(self, scenario: Scenario) -> None:
+        """Raises LuxloopError where a term needs a symbol that a controller holds, and the scenario has none."""
+        if not scenario.symbols and (needing := self.weights.keys() - {"energy"}):
+            raise LuxloopError(
+                f"{scenario.name}: no controller holds a symbol, which {', '.join(sorted(needing))} need; "
+                "tune a scenario with one, or give --objective energy"
+            )
 
     def cost(self, row: Figures) -> float:
         """Cost of a run's figures, which are empty for a failed run."""

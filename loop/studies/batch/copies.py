@@ -35,7 +35,7 @@ TOGETHER = 16  # images evaluated at once; more do not fit the processor's cache
 TIMES = ("start_s", "stop_s", "indicated", "when", "unless")
 
 
-ONE_BY_ONE = "run it one by one"
+ONE_BY_ONE = "run it one by one (environments: vectorization_mode='sync')"
 
 
 def check(simulation: Simulation, otherwise: str = ONE_BY_ONE) -> None:

@@ -84,7 +84,7 @@ def test_a_value_is_taken_of_the_steps_in_the_window_that_have_one(check, value)
     assert got["value"] == (value if value is None else pytest.approx(value))
     assert got["passed"] is (value is not None and value >= 0.3)
     if value is None:
-        why = "begins at 7 s, the run ends at 0.4 s; raise steps" if check["from_s"] == 7 else "nothing was there to check"
+        why = "begins at 7 s, the run ends at 0.4 s (raise steps)" if check["from_s"] == 7 else "nothing was there to check"
         assert why in said(got) and said(got).endswith("failed")
 
 
