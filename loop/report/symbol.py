@@ -31,6 +31,7 @@ from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.birdseye import rectify
 from luxloop.perception.camera import luminance_of
 from luxloop.perception.metrics import THRESHOLD
+from luxloop.world.frames import View
 
 Pairs = dict[str, tuple[Lights, Lights]]  # lights with a symbol and without it, by title
 Image = NDArray[np.floating]
@@ -67,7 +68,8 @@ def draw_symbol(figure: SubFigure, simulation: Simulation, history: SymbolHistor
         _camera_views(middle, symbol, views)
         plane, beam = columns(bottom, 3.5, 4.2)
         _birds_eye_views(plane, symbol.evaluator, lights, last)
-    _progression(top, symbol, history, views["at the end"])
+    view = last.sense.view if simulation.truth is None else simulation.truth.view_from_ground(last.time_s)
+    _progression(top, symbol, history, views["at the end"], view)
     _beam_patterns(beam, symbol, lights["at the end"][0], "asked for" if shadow else "at the end")
 
 
@@ -198,7 +200,8 @@ def _white(symbol: ControlledSymbol, *images: Image) -> float:
     return max(float(bright.quantile(0.9)) if len(bright) else 0.0, *(float(np.quantile(image, 0.98)) for image in images))
 
 
-def _progression(figure: SubFigure, symbol: ControlledSymbol, history: SymbolHistory, after: Image) -> None:
+def _progression(figure: SubFigure, symbol: ControlledSymbol, history: SymbolHistory, after: Image, view: View) -> None:
+    """view: of the image after the last step, from the ground frame."""
     axes = figure.subplots()
     axes.set_title("Symbol progression in the camera's image  (red: past symbols and path, cyan: target)")
     _show(axes, after, _white(symbol, after))
@@ -209,9 +212,7 @@ def _progression(figure: SubFigure, symbol: ControlledSymbol, history: SymbolHis
         overlay = np.zeros((*past.shape, 4), np.float32)
         overlay[..., 0], overlay[..., 3] = 1.0, 0.3 * (past & ~final[crop.slices])
         axes.imshow(overlay, extent=(crop.u_start, crop.u_stop, crop.v_stop, crop.v_start), interpolation="nearest")
-    target = _target(symbol)[1].float().cpu().numpy()
-    rows, cols = (np.arange(n) + 0.5 for n in target.shape)
-    axes.contour(cols, rows, target, levels=[0.5], colors=TARGET, linewidths=0.8)
+    _outline_target(axes, symbol, view)
     path = np.array(history.path)
     axes.plot(*path.T, color=PATH, lw=1.3, marker="o", ms=2.5)
     seen = path[np.isfinite(path).all(1)]
@@ -220,6 +221,20 @@ def _progression(figure: SubFigure, symbol: ControlledSymbol, history: SymbolHis
         axes.plot(*seen[-1], color=PATH, marker="x", ms=7, mew=1.8)
     boxes = [(crop.u_start, crop.v_start, crop.u_stop, crop.v_stop) for crop, _ in history.symbols]
     _look_at(axes, symbol, boxes, after.shape, aspect=2.75)
+
+
+def _outline_target(axes: Axes, symbol: ControlledSymbol, view: View) -> None:
+    """Outline the target on the plane z = 0 as a view from the ground frame sees it."""
+    mask, eye = _target(symbol)[1].cpu(), symbol.sensor.model.eye.view
+    lit = torch.nonzero(mask)
+    if not len(lit):
+        return
+    (v0, u0), (v1, u1) = (lit.amin(0) - 1).clamp(min=0).tolist(), (lit.amax(0) + 2).tolist()
+    part = slice(v0, v1), slice(u0, u1)
+    rays = eye.within(*part).rays().flatten(1)
+    uv, _ = view.project(eye.origin[:, None] - rays * (eye.origin[2] / rays[2]))
+    u, v = uv.unflatten(1, mask[part].shape).numpy()
+    axes.contour(u, v, mask[part].float().numpy(), levels=[0.5], colors=TARGET, linewidths=0.8)
 
 
 def _look_at(axes: Axes, symbol: ControlledSymbol, boxes: list[tuple[int, int, int, int]], shape: tuple[int, ...], aspect: float) -> None:
