@@ -134,9 +134,8 @@ def _confidences(axes: Axes, table: pa.Table, names: Sequence[str], summary: Sum
         label = plain_name(name) + (f", lost in {gone} steps" if gone else "")
         _curve(axes, table, f"objects.{name}.confidence", color=colour, label=label, marker="")
     axes.set(ylim=(0, 1.02))
-    if nothing := summary["tracks_of_nothing"]:
-        axes.plot([], [], " ", label=f"a track without an object in {nothing} steps")
-    heading(axes, "Confidence of objects, filtered over frames")
+    nothing = summary["tracks_of_nothing"]
+    heading(axes, "Confidence of objects" + (f" (false tracks in {nothing} steps)" if nothing else ""))
 
 
 def _on_objects(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summary, with_names: bool) -> None:
