@@ -1,4 +1,4 @@
-"""Lighting functions at work: at each step the objects are tracked, the functions planned, the lamps driven, and the light looked at."""
+"""The control loop in steps of five acts: sense, plan, drive, expose, control."""
 
 import math
 from collections.abc import Generator, Mapping, Sequence
@@ -59,11 +59,10 @@ BEAMS: Mapping[Baseline, BeamName] = {"full_light": "full", "low_beam": "low"}
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """A scenario made ready to run on one device.
+    """The runnable simulation of a scenario on one device.
 
-    Functions live in the ground frame, which drives with the car. view: what the camera of a car on a level body would see, as the car
-    believes. pipeline: None without a detector. controlled: symbols that are held, by name. cache: its parts. Without detector and held
-    symbols steps depend on their time alone, unless a function learns, or commands modules.
+    Lighting functions use the ground frame, which moves with the car. view: the calibrated camera view of a level car body. pipeline:
+    detector and tracker, None without a detector. controlled: closed-loop symbols, by name. cache: reusable parts.
     """
 
     scenario: Scenario
@@ -79,9 +78,9 @@ class Simulation:
 
     @classmethod
     def prepare(cls, scenario: Scenario, device: torch.device | str = "cpu", before: "Simulation | None" = None) -> "Simulation":
-        """Build scene and lamps, load symbols, plan a step. Raises LuxloopError where something is missing, beams included, or broken.
+        """Build scene and lamps, load symbols, and plan a first step. Raises LuxloopError for a missing or broken part, beams included.
 
-        before: another simulation, of which all that has stayed as it was serves again.
+        before: an earlier simulation, whose unchanged parts are reused.
         """
         device = torch.device(device)
         cache = PartCache(None if before is None or before.device != device else before.cache)
@@ -93,44 +92,44 @@ class Simulation:
 
     @property
     def truth(self) -> World | None:
-        """What is true, None where the plant does not know it."""
+        """The true world, None if the plant does not know it."""
         return getattr(self.plant, "truth", None)
 
     @property
     def world(self) -> World:
-        """What is true, where it must be known. Raises LuxloopError on a plant that does not know it."""
+        """The true world. Raises LuxloopError if the plant does not know it."""
         if (truth := self.truth) is None:
             raise LuxloopError(f"{self.scenario.name}: the plant {self.scenario.plant.kind} does not know the truth; take another plant")
         return truth
 
     @property
     def symbol(self) -> ControlledSymbol:
-        """The only symbol that a controller holds. Raises LuxloopError where there are several or none."""
+        """The only closed-loop symbol. Raises LuxloopError if there are several or none."""
         return self.controlled[only(self.controlled)]
 
     def lights_of(self, result: StepResult, drawn: Parts) -> Lights:
-        """Those of a step in which the functions draw these primitives, by name."""
+        """Utilisations of a step with other primitives. drawn: primitives by function."""
         return self.lamps.drive(self.planner.compose(result.now, result.planning.functions, drawn), result.now)[0]
 
     def of_all(self, symbol: ControlledSymbol, light: Sequence[Utilisation]) -> Lights:
-        """What a light of a symbol's modules adds to their base beams, as utilisations of all modules."""
+        """Differences to the base beams for all modules. light: utilisations of the symbol's modules."""
         drawn = dict(zip(symbol.drawn_by, zip(light, symbol.projector.resting, strict=True), strict=True))
         added = {k: Utilisation(each.u - beam.u, each.band) for k, (each, beam) in drawn.items()}
         return tuple(added.get(k, Utilisation(0 * module.flux, slice(0, 0))) for k, module in enumerate(self.modules))
 
     def with_controller(self, controller: SymbolController) -> "Simulation":
-        """The same with another controller of the only symbol that is held. Raises as `symbol`."""
+        """The simulation with another controller for its only closed-loop symbol. Raises as `symbol`."""
         return replace(self, controlled={only(self.controlled): replace(self.symbol, controller=controller)})
 
     @property
     def renderer(self) -> str:
-        """Source of the simulated plant's G-buffers, else what the plant is called."""
+        """Name of the true world's G-buffer source, else kind of the plant."""
         return self.scenario.plant.kind if self.truth is None else self.truth.source.name
 
     def lit_by(self, light: Baseline) -> "Simulation":
-        """The same world with the same noise: in open loop, or lit by nothing but a beam, all pixels on or the low beam.
+        """The same world and noise in a baseline light: symbols in open loop, or the full or low beam alone.
 
-        Raises LuxloopError where there is no such beam, and on a plant that is not the simulated world.
+        Raises LuxloopError for a missing beam or a plant other than the simulated world.
         """
         plant = world_plant(self.plant, f"checks: compare = {light!r}")
         if light == "open_loop":
@@ -145,12 +144,12 @@ class Simulation:
 
     @cached_property
     def lamps(self) -> LampDriver:
-        """The modules with what limits them."""
+        """The modules and their power limits."""
         return LampDriver(self.scenario, self.modules, self.truth)
 
     @cached_property
     def evaluator(self) -> Evaluator:
-        """Gives the figures of steps, for who wants them."""
+        """Computes the metrics of steps."""
         return Evaluator(self.scenario, self.planner, self.pipeline, self.controlled, self.lamps, self.truth)
 
     @property
@@ -159,9 +158,9 @@ class Simulation:
         return self.evaluator.recorded_ids
 
     def situation(self, time_s: float, tracks: Any = None, ego: Ego | None = None, told: Objects | None = None) -> Situation:
-        """What the car knows at a time: from tracks, if there is a detector, else as told by the plant, or by a tracker without mistakes.
+        """Situation at a time, with objects from the detector's tracks. Without a detector, the plant reports them, or a perfect tracker.
 
-        ego: its motion as measured; left out: it stands on a level body.
+        ego: measured motion, None for a standing, level car. told: objects reported by the plant.
         """
         T_ground_body = attitude(ego)
         lights = tuple(
@@ -187,24 +186,24 @@ class Simulation:
         )
 
     def start(self, step: int = 0) -> SimulationState:
-        """The state before a step, with nothing seen yet."""
+        """The state before a step, without earlier frames."""
         (plant, arrivals), tracks = self.plant.start(), None if self.pipeline is None else self.pipeline.tracker.start()
         arrivals = self.sensor_arrivals(step / self.scenario.rate_hz) if step else arrivals
         symbols = {name: each.start() for name, each in self.controlled.items()}
         return SimulationState(step, tracks, self.planner.start(), plant, arrivals, newest({}, arrivals.samples), symbols)
 
     def sensor_arrivals(self, time_s: float) -> Arrivals:
-        """What the sensors have told by a time. Raises LuxloopError on a plant that is not the simulated world."""
+        """The newest sensor samples at a time. Raises LuxloopError unless the plant is the simulated world."""
         return Arrivals(time_s, samples=world_plant(self.plant, "the light at one time").samples(time_s))
 
     def ego(self, samples: Samples, time_s: float) -> Ego | None:
-        """What is known of the car's motion at a time, None of one that stands."""
+        """Estimated motion of the car at a time, None without wheel speeds."""
         return ego_of(samples, self.scenario.vehicle, time_s, self.scenario.shares[0] / self.scenario.rate_hz)
 
     def step(self, state: SimulationState) -> tuple[SimulationState, StepResult]:
         """One step: sense, plan, drive, expose, control.
 
-        Where symbols are held all light is shown first, and for the rest of the step all but the symbols whose turn it is.
+        With closed-loop symbols, the first exposure shows all light. The other exposures omit the symbols measured in this step.
         """
         check_process()
         clock = Clock()
@@ -223,9 +222,9 @@ class Simulation:
         return self._following(result), result
 
     def _sense(self, state: SimulationState) -> Sense:
-        """The car's motion, the situation with modules as functions command them, and what each commanded, from all that has arrived.
+        """Motion, situation and module commands from the arrivals so far.
 
-        Raises LuxloopError where a function of the user's own commands a module that a controller needs at rest.
+        Raises LuxloopError if a user's function moves or dims a module that draws a closed-loop symbol.
         """
         time_s = state.arrivals.time_s
         ego = self.ego(state.samples, time_s)
@@ -239,7 +238,7 @@ class Simulation:
         return Sense(ego, now, self._from(attitude(ego)), commanded)
 
     def _plan(self, state: SimulationState, sense: Sense) -> StepPlan:
-        """Primitives of functions and controllers: all of them, and without the symbols that are measured in this step."""
+        """Light plans from functions and controllers: with all symbols, and without the symbols measured in this step."""
         projections, drawn = self._primitives(state, sense.now, sense.ego)
         measured = choose_measured(self.controlled, state.symbols, projections)
         plans = [self.planner.compose(sense.now, state.functions, drawn)]
@@ -248,7 +247,7 @@ class Simulation:
         return StepPlan(state.functions, projections, drawn, measured, tuple(plans))
 
     def _drive(self, planning: StepPlan, sense: Sense) -> Drive:
-        """Utilisations of each exposure, and the symbols in it."""
+        """Utilisations and symbols of each exposure."""
         first, now, shares = planning.plans[0], sense.now, self.scenario.shares
         drives = [self.lamps.drive(first, now)]
         drives += [self.lamps.drive(each, now, (first, drives[0][0])) for each in planning.plans[1:]]
@@ -259,7 +258,7 @@ class Simulation:
         return Drive(tuple(exposures), projections, mean_powers([powers for _, powers in drives], shares))
 
     def _expose(self, state: SimulationState, drive: Drive, sense: Sense) -> Reception:
-        """The exposures shown on the plant, and all that arrives meanwhile."""
+        """Show the exposures on the plant and collect arrivals."""
         plant, samples, arrivals, exposures = state.plant, state.samples, [state.arrivals], list[Exposure]()
         shares, rate_hz = self.scenario.shares, self.scenario.rate_hz
         for part, (share, lights, projections) in enumerate(zip(shares, drive.exposures, drive.projections, strict=True)):
@@ -274,7 +273,7 @@ class Simulation:
     def _control(
         self, state: SimulationState, sense: Sense, planning: StepPlan, reception: Reception, clock: Clock
     ) -> tuple[Perception, Control]:
-        """What the frames that came tell detector, tracker and functions, and the controllers of symbols."""
+        """Perception and symbol control from the arrived frames."""
         perception = self._perceive(state, sense, reception)
         clock.lap("find")
         control = self._measure(state, sense, planning, reception)
@@ -282,21 +281,21 @@ class Simulation:
         return perception, control
 
     def _perceive(self, state: SimulationState, sense: Sense, reception: Reception) -> Perception:
-        """Detector, tracker and learning functions on the frames that came."""
+        """Run detector, tracker and learning functions on the arrived frames."""
         per_step = len(self.scenario.shares)
         watched = {"on": (0,), "off": (per_step - 1,), "both": range(per_step)}[self.scenario.detector_frames]
         views = {**state.views, **{per_step * state.step + part: sense.view for part in watched}}
         known = Perception(state.tracks, state.functions, None, None, sense.now.time_s, views)
         for frame in reception.frames:
             if (view := known.views.get(frame.number)) is not None:
-                # Frames before this one never come.
+                # Frames arrive in order: earlier ones are lost.
                 known = replace(known, views={number: each for number, each in known.views.items() if number > frame.number})
                 if frame.image is not None:
                     known = self._look(known, frame.image, frame.taken_s, view, sense.now)
         return known
 
     def _look(self, known: Perception, image: Tensor, taken_s: float, view: View, now: Situation) -> Perception:
-        """What one frame adds. image: digital numbers `[height, width]`, taken at taken_s in a view that the car believes."""
+        """Perception after one frame. image: digital numbers `[height, width]`. view: estimated camera view at taken_s."""
         reads = self.planner.learns or self.pipeline is not None
         image, world, tracks, found, functions = image[:, :] if reads else image, self.truth, known.tracks, known.found, known.functions
         then = world.lit(taken_s) if reads and world is not None else None
@@ -309,7 +308,7 @@ class Simulation:
         return replace(known, tracks=tracks, functions=functions, found=found, image=image, taken_s=taken_s)
 
     def _measure(self, state: SimulationState, sense: Sense, planning: StepPlan, reception: Reception) -> Control:
-        """Measurements of the pairs of frames that came, and the controllers' next states."""
+        """Measure the arrived frame pairs and step the symbol controllers."""
         alone = len(planning.projections) == 1 and len(self.planner.functions) == 1 and self.scenario.lighting.power_limit is None
         shown = ExposurePair(reception.exposures[0], reception.exposures[-1], sense.ego, alone)
         pairs, awaiting, unpaired = pair_frames((*state.awaiting, shown), reception.unpaired) if self.controlled else ([], (), ())
@@ -344,7 +343,7 @@ class Simulation:
         )
 
     def _raw(self, lights: Lights, projections: Mapping[str, ProjectionCommand]) -> Lights:
-        """With the utilisations that a controller gives in place of a symbol. Raises LuxloopError beside other functions."""
+        """Insert utilisations from controllers that drive pixels directly. Raises LuxloopError if there are other functions."""
         shown = list(lights)
         for name, projection in projections.items():
             if projection.raw is not None:
@@ -355,7 +354,7 @@ class Simulation:
         return tuple(shown)
 
     def _primitives(self, state: SimulationState, now: Situation, ego: Ego | None) -> tuple[dict[str, ProjectionCommand], Parts]:
-        """What controllers want drawn of the symbols that are shown now, and the primitives of all functions."""
+        """Projection commands of the symbols shown now, and primitives of all functions."""
         shown = {name: each for name, each in self.controlled.items() if each.function.shows(now)}
         projections = {name: each.controller.projection(state.symbols[name].controller, ego) for name, each in shown.items()}
         commands = {}
@@ -365,11 +364,11 @@ class Simulation:
         return projections, self.planner.draw(now, state.functions) | commands
 
     def at(self, step: int) -> Evaluation:
-        """One step alone, before which nothing was seen; that of the run where nothing depends on what was seen."""
+        """One step evaluated without its predecessors; equal to the run's step unless the simulation `remembers`."""
         return self.evaluate(self.step(self.start(step))[1])
 
     def lights_at(self, time_s: float) -> tuple[tuple[Tensor, ...], Commands]:
-        """Utilisations `[n_p]`, one a module, and commands at any time; what depends on steps before is run up to it."""
+        """Utilisations `[n_p]`, one a module, and module commands at any time, after the earlier steps if the simulation `remembers`."""
         state = self.start()
         while self.remembers and (state.step + 1) / self.scenario.rate_hz <= time_s:
             state, _ = self.step(state)
@@ -381,21 +380,21 @@ class Simulation:
 
     @property
     def remembers(self) -> bool:
-        """Whether a step depends on those before it."""
+        """Whether a step depends on earlier steps."""
         return self.pipeline is not None or self.planner.learns or bool(self.controlled) or bool(self.planner.commanding)
 
     def base(self, beam: str) -> str:
-        """What shines below all functions, in words, where the base beam is one of this name."""
+        """The light below all functions in words. beam: name of the base beam."""
         raw = [module.raw is not None for module in self.modules]
         told = "base beam off" if beam == "off" else f"{beam} beam"
         return "raw utilisations" if all(raw) else f"{told} and raw utilisations" if any(raw) else told
 
     def show(self) -> StudioWindow:
-        """Watch and steer the scenario in the page of `luxloop studio`, in a frame of a notebook; as `luxloop.show`, which says more."""
+        """Watch and steer the scenario in a notebook, in the page of `luxloop studio`; see `luxloop.show`."""
         return StudioWindow(self.scenario, str(self.device))
 
     def run(self) -> Generator[StepResult, None, None]:
-        """All steps of the scenario, after which the plant is closed."""
+        """Run all steps of the scenario, then close the plant."""
         with ExitStack() as stack:
             stack.callback(close_plant, self.plant)
             state = self.start()
@@ -405,12 +404,12 @@ class Simulation:
                 yield result
 
     def evaluate(self, result: StepResult, before: Evaluation | None = None) -> Evaluation:
-        """A step with its figures. before: the evaluation of the step before, where there is one."""
+        """A step with its metrics. before: evaluation of the previous step, None for the first."""
         with locate(self.scenario.source):
             return self.evaluator.evaluate(result, before)
 
     def evaluations(self) -> Generator[Evaluation, None, None]:
-        """All steps of the scenario with their figures, after which the plant is closed."""
+        """Run and evaluate all steps of the scenario, then close the plant."""
         before = None
         with closing(self.run()) as steps:
             for result in steps:
@@ -418,7 +417,7 @@ class Simulation:
                 yield before
 
     def idle(self, result: StepResult) -> set[str]:
-        """Names of the functions that move no module at that moment, and of which no ray of any lamp that draws them hits anything."""
+        """Names of the functions without effect in a step: they move no module, and none of their primitives is in a lamp's reach."""
         drawn = self.planner.draw(result.now, result.planning.functions)
         reach = {name for name, parts in drawn.items() if any(in_reach(self.modules, part, result.now) for part in parts)}
         given = self.planner.command({}, result.now, self.modules)
@@ -426,7 +425,7 @@ class Simulation:
         return drawn.keys() - reach - result.planning.projections.keys() - moving
 
     def waiting(self, result: StepResult) -> set[str]:
-        """Names of the functions that wait for the indicator at that moment."""
+        """Names of the functions waiting for the indicator in a step."""
         return {name for name, each in self.scenario.functions.items() if isinstance(each, ScheduleParams) and each.waits(result.now)}
 
     def _all_objects(self, time_s: float, known: Objects | None) -> Objects:
@@ -441,11 +440,11 @@ class Simulation:
         return () if self.pipeline is None or tracks is None else self.pipeline.objects(tracks, time_s, view)
 
     def _from(self, T_ground_body: Tensor) -> View:
-        """The camera's view from the ground frame, as the car believes."""
+        """Estimated camera view in the ground frame. T_ground_body: `[4, 4]`."""
         return replace(self.view, T_world_view=T_ground_body @ self.view.T_world_view)
 
     def _learnt(self, now: Situation, then: LitScene | None, then_s: float, image: Tensor, view: View, tracks: Any) -> Situation:
-        """The situation once a frame is there, which was taken at then_s of the scene then, in a view that the car believes."""
+        """The situation with a camera image. then_s: exposure time. then: scene at that time. view: estimated camera view."""
         camera = self.scenario.camera
         luminance, most = luminance_of(image, camera), saturation_luminance(camera)
         looks = any(function.kind == "material" for function in self.scenario.functions.values())

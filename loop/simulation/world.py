@@ -1,4 +1,4 @@
-"""The simulated world: a scene, lamps and a camera on a vehicle, and what the camera sees of it."""
+"""The simulated world: a scene, a vehicle with lamps and a camera, and the camera's view."""
 
 from collections import OrderedDict, deque
 from collections.abc import Callable, Collection, Sequence
@@ -31,23 +31,24 @@ from luxloop.world.traffic.tracked import EYES, ROAD_USERS, Category
 
 Photometry = tuple[Tensor | None, Tensor]  # illuminance in lx and luminance in cd/m^2
 KEPT_VIEWS = 4  # on and off frame, before and after a change
-KEPT_PARTS = 2  # of a scene: around the symbols and around objects
-KEPT_LIGHTS = 3  # of a scene: on and off exposure, and that with which symbols are compared
-MARGIN_PX = 1  # around objects, whose corners OpenGL rounds
+KEPT_PARTS = 2  # image parts of a scene: around the symbols, around objects
+KEPT_LIGHTS = 3  # exposures of a scene: on, off, and off without one symbol
+MARGIN_PX = 1  # around objects, because OpenGL rounds their corners
 A_PIXEL: Part = (slice(0, 1), slice(0, 1))
 
 
 def categories(objects: Sequence[ObjectParams]) -> tuple[Category | None, ...]:
-    """Classes of objects as a detector ought to name them: cars without a category, the parked ones, are cars."""
+    """Object classes that a detector should report; parked cars, which have no category, are of class "car"."""
     return tuple("car" if each.category is None and each.kind == "car" else each.category for each in objects)
 
 
 @dataclass(eq=False)
 class LitScene:
-    """The scene at one time as an eye sees it, or a part of that, and what the lamps do to it; rendered where it is first looked at.
+    """The scene at one time in one view, lit by the lamps; rendered at first use.
 
-    eye: the whole view, of which this is the part, None for all of it. render: gives the surfaces of a part of a view. samples: rows of
-    these a pixel. direct: whether light is traced anew each time, not folded into a matrix. given: parameters of the objects 1, 2, ...
+    eye: the whole view. part: rows and columns of the whole view, None for all. render: renders the surfaces of a part of a view.
+    samples: rows of surfaces in a pixel. direct: whether each light is traced separately instead of by a transport matrix. given:
+    parameters of the objects 1, 2, ...
     """
 
     time_s: float
@@ -70,27 +71,27 @@ class LitScene:
 
     @cached_property
     def view(self) -> View:
-        """That of the part."""
+        """The view of the part."""
         return self.eye if self.part is None else self.eye.within(*self.part)
 
     @cached_property
     def rendered(self) -> GBuffer:
-        """Surfaces, with `samples` rows a pixel."""
+        """Surfaces with `samples` rows in each pixel."""
         part = self.part and (slice(self.samples * self.part[0].start, self.samples * self.part[0].stop), self.part[1])
         return self.render(self.triangles, self.eye.with_rows(self.samples), part).to(self.modules[0].T_body_headlight.device)
 
     @cached_property
     def surfaces(self) -> GBuffer:
-        """At the centres of the view's pixels."""
+        """Surfaces at the pixel centres."""
         return self.rendered.one_row_of(self.samples)
 
     @property
     def is_rendered(self) -> bool:
-        """Whether that has been done."""
+        """Whether the surfaces have been rendered."""
         return "rendered" in vars(self)
 
     def within(self, part: Part) -> "LitScene":
-        """A part of the whole, with surfaces of its own."""
+        """A part of the whole view, rendered separately."""
         if part == (slice(0, self.eye.height), slice(0, self.eye.width)):
             return self
         if (key := str(part)) not in self._parts:
@@ -106,12 +107,12 @@ class LitScene:
 
     @cached_property
     def transports(self) -> tuple[LightTransport, ...]:
-        """Light transport, one a module, of all at rest."""
+        """Light transport of each module at rest."""
         return tuple(self.transported(number, REST) for number in range(len(self.modules)))
 
     def transported(self, number: int, command: ModuleCommand) -> LightTransport:
-        """A module's light transport as it is turned."""
-        return self._turned(number, replace(command, intensity=1.0))  # which does not dim the way of light
+        """Light transport of a turned module."""
+        return self._turned(number, replace(command, intensity=1.0))  # dimming does not change the transport
 
     def _transport(self, number: int, command: ModuleCommand) -> LightTransport:
         module, width = self.modules[number], self.view.width
@@ -127,7 +128,7 @@ class LitScene:
         return Shadows(self.rendered.position.flatten(1), torch.tensor(lamp_m, dtype=torch.float64), self.triangles)
 
     def shown(self, lights: Sequence[Utilisation], commands: Commands = (), rows: slice | None = None) -> Tensor:
-        """Luminance `[..., height, width]` in cd/m^2 of all light, the lamps' lights `[..., n_p]` included, of all rows or some."""
+        """Luminance `[..., height, width]` in cd/m^2 of all light. lights: utilisations `[..., n_p]`, one a module. rows: None for all."""
         if all(light.band is not None and light.band.stop <= light.band.start for light in lights):
             return self.base if rows is None else self.base[rows]
         if not commands:
@@ -137,7 +138,7 @@ class LitScene:
         return added_light(turned, dimmed, self.base, rows)
 
     def find_exposure(self, lights: tuple[Utilisation, ...], commands: Commands) -> Photometry | None:
-        """Illuminance and luminance of one of the last exposures, None of another one."""
+        """Cached illuminance and luminance of a recent exposure, else None."""
         return next((found for shown, commanded, found in self._exposures if shown is lights and commanded == commands), None)
 
     def expose(self, lights: tuple[Utilisation, ...], commands: Commands, metered: bool) -> Photometry:
@@ -152,13 +153,13 @@ class LitScene:
         return found
 
     def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
-        """Luminance `[..., height, width]` in cd/m^2 of these lights alone, all modules at rest."""
+        """Luminance `[..., height, width]` in cd/m^2 of these lights alone, with all modules at rest."""
         return added_light(self.transports, lights, torch.zeros_like(self.base))
 
     def light(self, lights: Sequence[Tensor], commands: Commands = ()) -> tuple[Tensor, Tensor]:
-        """Illuminance in lx at the pixels' centres and luminance in cd/m^2 of the pixels `[height, width]`, from the lamps alone.
+        """Illuminance in lx at pixel centres, and luminance in cd/m^2 of pixels, both `[height, width]`, from the lamps alone.
 
-        lights: utilisations `[n_p]`, one a module. Of a direct view only.
+        lights: utilisations `[n_p]`, one a module. Requires `direct`.
         """
         arriving = torch.zeros_like(self.surfaces.albedo).flatten()
         leaving = torch.zeros_like(arriving)
@@ -173,40 +174,40 @@ class LitScene:
 
     @cached_property
     def objects(self) -> tuple[GroundTruth, ...]:
-        """Those with a class, of which a pixel is seen at least."""
+        """Objects with a class and at least one visible pixel."""
         found = ground_truth(self.surfaces, self.triangles, self.view, categories(self.given))
         return tuple(each for each in found if each.category is not None)
 
     @cached_property
     def boxes(self) -> Tensor:
-        """`[n, 4]` px of all of `objects`, whether hidden or not, as far as in the image."""
+        """Bounding boxes `[n, 4]` px of `objects`, hidden parts included, clipped to the image."""
         return torch.tensor([self._inside(each.whole) for each in self.objects], dtype=torch.float64).view(-1, 4)
 
     @cached_property
     def eyes(self) -> Tensor:
-        """Where the view sees heads and windscreens of road users, `[height, width]` bool."""
+        """Pixels on heads and windscreens of road users, `[height, width]` bool."""
         users = torch.tensor([number for number, each in enumerate(self.given, 1) if each.category in ROAD_USERS], dtype=torch.int32)
         ids = self.surfaces.object_id
         return part_mask(self.surfaces, self.triangles, EYES) & torch.isin(ids, users.to(ids))
 
     @cached_property
     def materials(self) -> tuple[Tensor, tuple[MaterialName, ...]]:
-        """Index `[height, width]` of what is seen in names of materials, -1 for none, and these."""
+        """Material index `[height, width]`, -1 for none, and the names of the materials."""
         return material_picture(self.surfaces, self.triangles)
 
     @cached_property
     def depth(self) -> Tensor:
-        """`[height, width]` m along the camera's axis at the pixels' centres, 0 where nothing is."""
+        """Depth `[height, width]` m along the camera's axis at pixel centres, 0 without a surface."""
         T, position = self.view.T_world_view.to(self.surfaces.position), self.surfaces.position
         along = (T[:3, 2, None, None] * (position - T[:3, 3, None, None])).sum(0)
         return along.where(self.surfaces.object_id >= 0, 0 * along)
 
     def parts(self, names: Sequence[str]) -> Tensor:
-        """Index `[height, width]` in names of the part that each pixel sees, -1 for none of them."""
+        """Part index `[height, width]` in names, -1 for none of them."""
         return part_picture(self.surfaces, self.triangles, names)
 
     def detections(self, params: TruthParams, classes: tuple[Category, ...]) -> Detections:
-        """What a detector finds that makes no mistakes."""
+        """Detections of a perfect detector."""
         height = self.boxes[:, 3] - self.boxes[:, 1]
         visible = torch.tensor([each.visible for each in self.objects], dtype=torch.float64)
         found = (height >= params.least_height_px) & (visible >= params.least_visible)
@@ -216,7 +217,7 @@ class LitScene:
 
     @property
     def around_objects(self) -> Part:
-        """A part of the image outside of which no object is seen, at least a pixel; all of it where one reaches behind the camera."""
+        """Image part that contains all objects, at least one pixel; the whole image if an object reaches behind the camera."""
         boxes = [placed.box.T for placed in self.triangles.placed if placed.object_id > 0]
         if not boxes:
             return A_PIXEL
@@ -240,9 +241,9 @@ class LitScene:
 
 @dataclass(frozen=True, eq=False)
 class ObjectLight:
-    """The lamps' light at the centres of the m pixels that see objects.
+    """Illuminance from the lamps at the centres of the m pixels on objects.
 
-    numbers: `[m]`, which of the objects 1, 2, ... each sees. eyes: `[m]` bool, whether it sees a head or a windscreen. lx: `[m]`.
+    numbers: `[m]`, numbers of the objects 1, 2, ... eyes: `[m]` bool, whether a head or windscreen is in the pixel. lx: `[m]`.
     """
 
     numbers: Tensor
@@ -250,20 +251,20 @@ class ObjectLight:
     lx: Tensor
 
     def on(self, number: int) -> Tensor:
-        """At the pixels that see an object."""
+        """Illuminance in lx on an object."""
         return self.lx[self.numbers == number]
 
     def on_eyes(self, numbers: Collection[int]) -> Tensor:
-        """At the heads and windscreens of these objects."""
+        """Illuminance in lx on heads and windscreens of these objects."""
         return self.lx[self.eyes & torch.isin(self.numbers, torch.tensor([*numbers]).to(self.numbers))]
 
 
 @dataclass(frozen=True, eq=False)
 class TrueObject:
-    """An object that is there.
+    """An object present in the world.
 
-    instance: its number among the world's instances. category: as the scenario gives it. boxed: its box in the world. seen: its ground
-    truth in the camera's view, None where no pixel sees it or it has no class.
+    instance: index in the world's `instances`. category: from the scenario. boxed: box in the world frame. seen: ground truth in the
+    camera's view, None without a visible pixel or a class.
     """
 
     name: str
@@ -274,9 +275,9 @@ class TrueObject:
 
 
 class World:
-    """A scene, lamps and a camera on a vehicle; what has been rendered serves until something moves.
+    """A scene and a vehicle with lamps and a camera; rendered views are reused until something moves.
 
-    metered: whether illuminance is asked for, on objects or anywhere. given: parameters of the scene's objects.
+    metered: whether illuminance is computed with each luminance. given: parameters of the scene's objects.
     """
 
     def __init__(
@@ -295,15 +296,15 @@ class World:
         self.view = camera_view(camera)
         self.device = self.modules[0].T_body_headlight.device
         self._lit: OrderedDict[Any, LitScene] = OrderedDict()
-        self._triangles = NOTHING  # the newest, whose bodies serve again where they have not moved
+        self._triangles = NOTHING  # the newest; bodies that have not moved are reused
 
     @cached_property
     def surfaces(self) -> SurfaceSource:
-        """Tells what a view sees."""
+        """Renders the surfaces of views."""
         return surface_source(self.source, self.moving)
 
     def after(self, before: "World | None") -> Self:
-        """This world; its bodies that were in another one as well keep what was derived from them there."""
+        """This world, reusing geometry and renderer of an earlier one."""
         if before is not None:
             self._triangles = before._triangles
             if (before.source, before.moving) == (self.source, self.moving):
@@ -311,18 +312,19 @@ class World:
         return self
 
     def view_at(self, t_s: float) -> View:
-        """The camera's view at a time."""
+        """The camera's view in the world frame at a time."""
         return replace(self.view, T_world_view=self.motion.at(t_s).T_world_body @ self.view.T_world_view)
 
     def view_from_ground(self, t_s: float) -> View:
-        """The camera's view at a time, in the ground frame in place of the world."""
+        """The camera's view in the ground frame at a time."""
         return replace(self.view, T_world_view=self.motion.at(t_s).T_ground_body @ self.view.T_world_view)
 
     def luminance(
         self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = (), part: Part | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Luminances in cd/m^2 at a time, of a part of the image if there is one: `[..., height, width]` of all light, and
-        `[height, width]` without the lamps.
+        """Luminances in cd/m^2 at a time: of all light, `[..., height, width]`, and without the lamps, `[height, width]`.
+
+        part: rows and columns of the image, None for all.
         """
         lit = self.lit(time_s)
         if part is not None and not self._whole(lit):
@@ -334,15 +336,15 @@ class World:
         return lit.shown(lights, commands, part[0])[..., part[1]], lit.base[part]
 
     def _whole(self, lit: LitScene) -> bool:
-        """Whether the whole image is at hand, or serves for other times as well."""
+        """Whether the whole image is already rendered or can be reused later."""
         return lit.is_rendered or not self.moving
 
     def image(self, like: Tensor, part_of: Callable[[Part], Tensor]) -> PartialImage:
-        """An image `[height, width]` of the camera, computed where it is read. like: in whose dtype."""
+        """A camera image `[height, width]`, computed on access. like: gives dtype and device."""
         return PartialImage.of(self.view.height, self.view.width, like[:0], part_of)
 
     def on_objects(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> ObjectLight:
-        """The lamps' light on all objects at a time, from the lamps alone: at the pixels that see them and nowhere else."""
+        """Illuminance from the lamps on all objects at a time, computed at their pixels only."""
         lit = self.lit(time_s)
         seen = lit if self._whole(lit) else lit.within(lit.around_objects)
         pixels = torch.nonzero(seen.surfaces.object_id.flatten() > 0)[:, 0]
@@ -356,19 +358,19 @@ class World:
         return ObjectLight(surfaces.object_id[0], part_mask(surfaces, lit.triangles, EYES)[0], lx)
 
     def added(self, time_s: float, lights: tuple[Utilisation, ...], others: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
-        """Luminance `[height, width]` in cd/m^2 at a time of what lights have beyond others."""
+        """Luminance `[height, width]` in cd/m^2 of lights minus that of others, at a time."""
         return self.luminance(time_s, lights, commands)[0] - self.luminance(time_s, others, commands)[0]
 
     def illuminance(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
-        """`[height, width]` lx from the lamps alone at a time, at the pixels' centres; also where the world is not metered."""
+        """Illuminance `[height, width]` lx from the lamps alone at pixel centres, at a time; also if the world is not metered."""
         if self.metered and (lx := self.lit(time_s).expose(lights, commands, metered=True)[0]) is not None:
             return lx
         return self.lit(time_s, direct=True).light([light.u for light in lights], commands)[0]
 
     def lit(self, t_s: float, direct: bool = False) -> LitScene:
-        """The camera's view of the scene at a time, another one only when geometry or the vehicle has moved.
+        """The scene in the camera's view at a time, reused while neither geometry nor vehicle moves.
 
-        direct: whether illuminance is asked for.
+        direct: whether illuminance is needed.
         """
         vehicle, direct = self.motion.at(t_s), direct or self.moving or self.metered
         where = () if self.motion is STANDING else tuple(vehicle.T_world_body.flatten().tolist())
@@ -384,11 +386,11 @@ class World:
 
     @property
     def instances(self) -> tuple[str, ...]:
-        """What the numbers `object_id + 1` of a view's surfaces mean: nothing, the road, and the objects by name."""
+        """Names by `object_id + 1` of a surface: none, the road, and the objects."""
         return "", "road", *(each.name for each in self.scene.objects)
 
     def objects_at(self, t_s: float) -> tuple[TrueObject, ...]:
-        """All objects that are there at a time, in the order of their instances."""
+        """All objects present at a time, in the order of `instances`."""
         lit = self.lit(t_s)
         there, seen = {each.object_id for each in lit.triangles.placed}, {each.object_id: each for each in lit.objects}
         return tuple(
@@ -398,6 +400,6 @@ class World:
         )
 
     def through(self, view: View, t_s: float) -> LitScene:
-        """The scene at a time through another view, which is given in the ground frame of that time."""
+        """The scene at a time in another view. view: in the ground frame of that time."""
         eye = replace(view, T_world_view=self.motion.at(t_s).T_world_ground @ view.T_world_view)
         return replace(self.lit(t_s), eye=eye, samples=1, direct=True)
