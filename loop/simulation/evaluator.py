@@ -1,6 +1,6 @@
-"""A step seen from outside: the light on objects, materials and the road, symbols from their observers' eyes, and how held symbols lie.
+"""Metrics of a step: light on objects, materials and the road, observed symbols, and closed-loop symbols against their targets.
 
-The loop and its controllers never ask for it.
+The loop and its controllers never use them.
 """
 
 from collections.abc import Mapping
@@ -44,7 +44,7 @@ from luxloop.perception.tracking import TrackedBoxes
 
 @dataclass(frozen=True, eq=False)
 class SymbolStep:
-    """A held symbol in one step. projection: what was shown. cut: `[4]`, shares beyond the borders of the lamps' field
+    """A closed-loop symbol in one step. projection: the projection shown. cut: `[4]`, shares beyond the borders of the lamps' field
     (`luxloop.controllers.symbol.sensing.field`). measurement: from the newest frames. metrics: None in a step without evaluation.
     """
 
@@ -55,27 +55,27 @@ class SymbolStep:
 
     @property
     def pose(self) -> Tensor:
-        """`[4]` = x, y in m, roll, pitch in rad."""
+        """Shown pose `[4]`: x, y in m, roll, pitch in rad."""
         return self.projection.pose
 
     @property
     def z(self) -> Tensor:
-        """`[]` m, height of its centre above the assumed road."""
+        """Height `[]` in m of the symbol's centre above the assumed road."""
         return torch.zeros_like(self.pose[0]) if self.projection.z is None else self.projection.z
 
     @property
     def aim(self) -> Tensor:
-        """`[2]`, x and y in m where it lies in place of its target, NaN for the target."""
+        """Place `[2]` in m, x and y, where the symbol is aimed instead of its target; NaN for the target."""
         return torch.full_like(self.pose[:2], torch.nan) if self.projection.aim is None else self.projection.aim.to(self.pose)
 
 
 @dataclass(frozen=True, eq=False)
 class FrameDetections:
-    """Detections in the newest frame, nothing where none came, and the tracks at its time that are not lost.
+    """Detections in the newest frame, empty without a frame, and the current tracks at its time.
 
-    recognised: of each object in sight, by its name. false_positives: detections of none that may be new objects, None where
-    nobody knows. eyes_lx_max, eyes_lx_peak: most light of the lamps on heads and windscreens of road users, mean over time and
-    highest, None where none are seen. oncoming_lx_max: mean over time, of those that come towards the car and are near enough.
+    recognised: by name of each visible object. false_positives: detections scored high enough for a new track that overlap no object,
+    None without the truth. eyes_lx_max, eyes_lx_peak: largest illuminance from the lamps on visible heads and windscreens of road users,
+    time mean and peak, None if none is visible. oncoming_lx_max: time mean on oncoming, near road users.
     """
 
     found: Detections
@@ -89,13 +89,13 @@ class FrameDetections:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation(StepResult):
-    """A step with its figures.
+    """A step with its metrics.
 
-    masked: names of objects that must be dark. illuminance: `[height, width]` lx from the lamps alone, None where nobody asks for it.
-    luminance: in cd/m^2 with all other light. The camera sees both; they are computed where they are read, None without the truth.
-    objects: by name, those that are there and have a category. detections: None without a detector. symbols: those meant for an observer,
-    from their eyes. held: those that controllers hold; zones, materials: all by name. road_lx_ratio_max: see `over_setpoint`, None in a
-    step without evaluation. oncoming_s: since when those who come towards the car have been near enough.
+    masked: names of objects that must be dark. illuminance: `[height, width]` lx from the lamps alone, None if not metered. luminance:
+    `[height, width]` cd/m^2 of all light. Both are in the camera's view, computed on access, None without the truth. objects: recorded
+    objects by name. detections: None without a detector. symbols: symbols for an observer, in the observer's view. held: closed-loop
+    symbols by name. zones, materials: by name. road_lx_ratio_max: see `over_setpoint`, None in a step without evaluation. oncoming_s:
+    times since which oncoming road users have been near.
     """
 
     masked: frozenset[str]
@@ -112,24 +112,24 @@ class Evaluation(StepResult):
 
     @property
     def symbol(self) -> SymbolStep:
-        """The only symbol that is shown and held. Raises LuxloopError where there are several or none."""
+        """The only closed-loop symbol shown. Raises LuxloopError if there are several or none."""
         return self.held[only(self.held)]
 
     @property
     def dark_lx_max(self) -> float | None:
-        """The most light on any object that must be dark; None where nothing of any is in sight."""
+        """Largest illuminance in lx on objects that must be dark; None if none is visible."""
         found = [each.lx_max for each in self.objects.values() if each.masked and each.pixels]
         return max(found, default=None)
 
     @property
     def symbol_iou_min(self) -> float | None:
-        """The least overlap of a symbol with what its observer shall see; None where there is no such symbol."""
+        """Smallest overlap of an observed symbol with its wanted picture; None without such a symbol."""
         return min((each.iou for each in self.symbols), default=None)
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluator:
-    """world: what is true, None where the plant does not know it. The others are those of the simulation."""
+    """Computes a step's metrics from parts of the simulation. world: the true world, None if the plant does not know it."""
 
     scenario: Scenario
     planner: Planner
@@ -140,7 +140,7 @@ class Evaluator:
 
     @cached_property
     def recorded_ids(self) -> Mapping[str, int]:
-        """Ids of the recorded objects by name: the tracked ones, or with a detector all that it should find."""
+        """Ids of the recorded objects by name: tracked objects, or with a detector all detectable objects."""
         if self.world is None:
             return {}
         given = [item.category for item in self.scenario.all_objects] if self.pipeline is None else categories(self.world.given)
@@ -149,11 +149,11 @@ class Evaluator:
 
     @property
     def _meter(self) -> World | None:
-        """The world, where its light is metered."""
+        """The true world, None if its illuminance is not metered."""
         return self.world if self.world is not None and self.world.metered else None
 
     def evaluate(self, result: StepResult, before: Evaluation | None = None) -> Evaluation:
-        """The step with its figures. before: the evaluation of the step before, where there is one."""
+        """The step with its metrics. before: evaluation of the previous step, None for the first."""
         clock, now, meter, shares = Clock(), result.now, self._meter, self.scenario.shares
         metered = [] if meter is None else [meter.on_objects(each.start_s, each.lights, each.commands) for each in result.exposures]
         oncoming_s = self._oncoming(now, before)
@@ -188,13 +188,13 @@ class Evaluator:
         )
 
     def _oncoming(self, now: Situation, before: Evaluation | None) -> Mapping[str, float]:
-        """Since when those who come towards the car have been near enough, by name; nobody without a detector or a meter."""
+        """Times since which oncoming road users have been near, by name; empty without a detector or metered light."""
         if self.pipeline is None or self._meter is None:
             return {}
         return near_enough(self._meter.lit(now.time_s), {} if before is None else before.oncoming_s, now.time_s)
 
     def _ids(self, detections: FrameDetections | None) -> Mapping[str, int]:
-        """Ids of objects by the names that functions use: with a detector those of tracks."""
+        """Ids of objects by their names in lighting functions: with a detector, names of tracks."""
         ids = self.recorded_ids
         if detections is None:
             return ids
@@ -202,7 +202,7 @@ class Evaluator:
         return {name_of(track): number for track, number in found if track is not None and number is not None}
 
     def _images(self, result: StepResult) -> tuple[Tensor | None, Tensor | None]:
-        """Illuminance, None where it is not metered, and luminance of the first exposure, None without the truth."""
+        """Illuminance, None if not metered, and luminance of the first exposure; both None without the truth."""
         world, like = self.world, result.lights[0]
         if world is None:
             return None, None
@@ -211,7 +211,7 @@ class Evaluator:
         return world.image(like, lambda part: world.illuminance(*shown)[part]) if world.metered else None, luminance
 
     def _detections(self, result: StepResult, metered: list[ObjectLight], oncoming_s: Mapping[str, float]) -> FrameDetections | None:
-        """Of the newest frame, None without a detector. metered: light in each exposure of now."""
+        """Detections in the newest frame, None without a detector. metered: light on objects in each exposure of this step."""
         if self.pipeline is None:
             return None
         perception, classes = result.perception, self.pipeline.classes
@@ -221,33 +221,33 @@ class Evaluator:
             return FrameDetections(found, present)
         then = self.world.lit(perception.taken_s)
         false = false_positives(then, found, self.scenario.tracker.start_score)
-        due = [name for name, since_s in oncoming_s.items() if result.now.time_s - since_s >= DUE_S]  # who must not be dazzled any more
+        due = [name for name, since_s in oncoming_s.items() if result.now.time_s - since_s >= DUE_S]  # dimming is overdue
         eyes = on_eyes(self.world.given, due, metered, self.scenario.shares)
         return FrameDetections(found, present, recognise(then, present, found, classes), false, *eyes)
 
     def _observed_symbols(self, result: StepResult) -> tuple[ObservedSymbol, ...]:
-        """Symbols from their observers' eyes, beside white ones; none where light is not metered."""
+        """Symbols in their observers' views, relative to white pictures; empty without metered light."""
         if self._meter is None or (white := in_white(result.plan)) is None:
             return ()
         whitened = [light.u for light in self.lamps.drive(white, result.now)[0]]
         return observed_symbols(result.plan, result.lights, whitened, self._meter, result.now)
 
     def _held(self, result: StepResult, metrics: Mapping[str, Metrics]) -> Mapping[str, SymbolStep]:
-        """The symbols that controllers hold, by name."""
+        """The closed-loop symbols, by name."""
         return {
             name: SymbolStep(each, cut(self.controlled[name].projector, each), result.control.measurements[name], metrics.get(name))
             for name, each in result.planning.projections.items()
         }
 
     def _road_ratio(self, result: StepResult) -> float | None:
-        """Most light on the road as a share of its setpoint; None without a detector, functions, or a meter."""
+        """Largest ratio of illuminance to setpoint on the road; None without a detector, functions, or metered light."""
         if self._meter is None or self.pipeline is None or not self.planner.functions:
             return None
         lit = self._meter.lit(result.now.time_s)
         return over_setpoint(self.lamps.aim(result.now), result.plan, result.exposures[0].lights, lit)
 
     def _metrics(self, result: StepResult) -> Mapping[str, Metrics]:
-        """Of each symbol that is measured, from the light with it and without it."""
+        """Metrics of each measured symbol, from the light with the symbol minus the light without it."""
         metrics, now, planning = {}, result.now, result.planning
         on, off = result.exposures[0].lights, result.exposures[-1].lights
         for name in planning.measured:

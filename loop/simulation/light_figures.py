@@ -1,4 +1,4 @@
-"""Figures of a step's light: on objects, zones and materials in the camera's view, and on symbols in their observers' eyes (T 7.2.2)."""
+"""Photometric metrics of a step: objects, zones and materials in the camera's view, symbols in their observers' views (T 7.2.2)."""
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -23,14 +23,15 @@ from luxloop.world.traffic.objects import ObjectParams
 from luxloop.world.traffic.tracked import ROAD_USERS
 
 DRIVEN = ROAD_USERS - {"pedestrian"}
-DUE_S = 0.3 - 1e-6  # the time that it has for that, less the rounding of clocks
+DUE_S = 0.3 - 1e-6  # time allowed to dim for an oncoming road user, less the rounding of clocks
 
 
 @dataclass(frozen=True)
 class OnObject:
-    """The lamps' light on what the camera sees of an object: pixels, and lx that are NaN where there are none. masked: it must be dark.
+    """Illuminance from the lamps on an object in the camera's view.
 
-    lx_min, lx_mean, lx_max: means over the exposures of a step. lx_peak: the highest lx_max of one.
+    pixels: number of visible pixels; all lx are NaN without any. lx_min, lx_mean, lx_max: time means over the exposures. lx_peak: maximum
+    of any exposure. masked: whether the object must be dark.
     """
 
     pixels: int
@@ -44,7 +45,9 @@ class OnObject:
 def on_objects(
     watched: Mapping[str, int], dark: frozenset[int], metered: Sequence[ObjectLight], shares: Sequence[float]
 ) -> Mapping[str, OnObject]:
-    """By name. watched: ids of those that are meant. dark: ids of those that must be. metered: of each exposure, with its share of time."""
+    """Light on objects by name. watched: ids of these objects. dark: ids of masked objects. metered, shares: light and time share of each
+    exposure.
+    """
     found = {}
     for name, number in watched.items():
         lights = [each.on(number) for each in metered]
@@ -58,9 +61,7 @@ def on_objects(
 
 
 def near_enough(seen: LitScene, since_s: Mapping[str, float], now_s: float) -> Mapping[str, float]:
-    """Since when the drivers and riders who come towards the camera have been LEAST_PX tall and half visible, by name; since_s: as known
-    before.
-    """
+    """Times since which oncoming drivers and riders have been LEAST_PX tall and half visible, by name. since_s: from the previous step."""
     heading = {placed.body.name: placed.T_world_body[:3, 0].double() for placed in seen.triangles.placed if placed.object_id > 0}
     ahead = seen.view.T_world_view[:3, 2].double()
     near = (
@@ -77,9 +78,9 @@ def near_enough(seen: LitScene, since_s: Mapping[str, float], now_s: float) -> M
 def on_eyes(
     given: Sequence[ObjectParams], due: Collection[str], metered: Sequence[ObjectLight], shares: Sequence[float]
 ) -> tuple[float | None, float | None, float | None]:
-    """Most light in lx on heads and windscreens of road users, mean over the exposures and highest, and the mean on those that are due.
+    """Largest illuminance in lx on heads and windscreens: time mean and peak of all road users, time mean of the due ones.
 
-    None where none is seen in any exposure. given: parameters of the objects 1, 2, ... due: names of some.
+    None if none is visible. given: parameters of the objects 1, 2, ... due: names of road users for whom the light must be dimmed by now.
     """
     users = {each.name: number for number, each in enumerate(given, 1) if each.category in ROAD_USERS}
     mean, highest = _most(users.values(), metered, shares)
@@ -87,7 +88,7 @@ def on_eyes(
 
 
 def _most(numbers: Collection[int], metered: Sequence[ObjectLight], shares: Sequence[float]) -> tuple[float | None, float | None]:
-    """Most light in lx on heads and windscreens of objects, mean over the exposures and highest; None where none is seen in any."""
+    """Largest illuminance in lx on heads and windscreens of objects: time mean and peak; None if none is visible."""
     lights = [each.on_eyes(numbers) for each in metered]
     if not any(map(len, lights)):
         return None, None
@@ -96,7 +97,7 @@ def _most(numbers: Collection[int], metered: Sequence[ObjectLight], shares: Sequ
 
 
 def must_be_dark(functions: Mapping[str, Any], each: TrackedObject, now: Situation) -> bool:
-    """Whether a glare-free function keeps all light off an object: its own mask is there, and not fading."""
+    """Whether a glare-free function masks a present object completely, without fading."""
     alone = replace(now, objects=(each,))
     there = each.since_s <= now.time_s < each.until_s
     glare_free = (function for function in functions.values() if isinstance(function, GlareFreeParams))
@@ -105,8 +106,8 @@ def must_be_dark(functions: Mapping[str, Any], each: TrackedObject, now: Situati
 
 @dataclass(frozen=True)
 class InZone:
-    """One zone in one step. lx: asked for. luminance, target: cd/m^2, the mean without the camera's noise, None out of its sight and
-    where nobody knows it, and the one wanted.
+    """A zone in one step. lx: commanded illuminance. luminance: noise-free mean in cd/m^2, None out of the camera's view or without the
+    truth. target: wanted luminance in cd/m^2.
     """
 
     lx: float
@@ -115,7 +116,7 @@ class InZone:
 
 
 def in_zones(functions: Mapping[str, Any], states: Mapping[str, Any], luminance: Tensor | None, view: View) -> Mapping[str, InZone]:
-    """The zones among a scenario's functions, by name; luminance: `[height, width]` cd/m^2, None where nobody knows it."""
+    """Zones of a scenario by name. luminance: `[height, width]` cd/m^2, None without the truth."""
     found = {}
     for name, function in functions.items():
         if isinstance(function, ZoneParams):
@@ -128,7 +129,7 @@ def in_zones(functions: Mapping[str, Any], states: Mapping[str, Any], luminance:
 
 @dataclass(frozen=True)
 class OnMaterial:
-    """A material in one step, in lx or cd/m^2 as its light says. median: of its pixels, without the camera's noise, None out of sight."""
+    """A material in one step, in lx or cd/m^2 by `quantity`. median: noise-free median of its pixels, None if not visible."""
 
     quantity: Quantity
     median: float | None
@@ -136,7 +137,7 @@ class OnMaterial:
 
 
 def quantities(functions: Mapping[str, Any]) -> Mapping[str, Quantity]:
-    """Requested quantity by function and material, or range of albedo; where several lights share both, that of the first."""
+    """Requested quantity by function and label (material or albedo range); of several lights with one label, the first counts."""
     found: dict[str, Quantity] = {}
     for name, function in functions.items():
         if isinstance(function, MaterialParams):
@@ -155,11 +156,10 @@ def on_materials(
     illuminance: Tensor,
     luminance: Tensor,
 ) -> Mapping[str, OnMaterial]:
-    """All that have a quantity, where their function asks for it: on objects that it selects, and on its part of the road.
+    """Materials by function and label, on the objects and road region that the function selects.
 
-    Of several lights of one label the first is recorded, as in `quantities`.
-    states: None of a function that has seen nothing yet. told: ids of objects by their names in the situation. illuminance, luminance:
-    `[height, width]` now.
+    Of several lights with one label, the first counts. states: None for a function before its first frame. told: ids of objects by their
+    names in the situation. illuminance, luminance: `[height, width]` now.
     """
     found: dict[str, OnMaterial] = {}
     for called, function in functions.items():
@@ -178,13 +178,13 @@ def on_materials(
 
 
 def _labels(light: MaterialLightParams) -> Iterator[tuple[str, str]]:
-    """Labels, and the materials that they are of; "" is any."""
+    """Labels and their materials, "" for any material."""
     chosen = "" if light.materials and light.albedo == (0.0, 1.0) else "albedo {:g} to {:g}".format(*light.albedo)
     yield from ((f"{name} {chosen}".strip(), name) for name in light.materials or ("",))
 
 
 def _request_mask(function: MaterialParams, state: MaterialState, now: Situation, told: Mapping[str, int], view: LitScene) -> Tensor:
-    """Where a function asks for light, `[height, width]` bool."""
+    """Pixels that a function lights, `[height, width]` bool."""
     surfaces = view.surfaces
     ids = torch.tensor([told[each.name] for each in function.select(now) if each.name in told])
     standing = torch.isin(surfaces.object_id, ids.to(surfaces.object_id)) & ~state.ground
@@ -196,14 +196,14 @@ def _request_mask(function: MaterialParams, state: MaterialState, now: Situation
     return standing | state.ground & (x >= near) & (x <= far) & (y.abs() <= function.road_width_m / 2)
 
 
-WIDTH_PX = 640  # of a wanted picture in the observer's camera, which it fills
-LIT = 0.5  # of what there would be if the picture were white
+WIDTH_PX = 640  # width of the wanted picture, which fills the observer's view
+LIT = 0.5  # threshold relative to a white picture
 
 
 @dataclass(frozen=True, eq=False)
 class ObservedSymbol:
-    """One symbol from its observer's eye. share: luminance `[rows, cols]` as a share of what a white picture would have there; NaN where
-    no lamp reaches. wanted: the picture `[rows, cols]`, 0..1.
+    """A symbol in its observer's view. share: luminance `[rows, cols]` relative to a white picture's, NaN out of the lamps' reach. wanted:
+    the picture `[rows, cols]`, 0..1.
     """
 
     share: Tensor
@@ -211,17 +211,17 @@ class ObservedSymbol:
 
     @property
     def iou(self) -> float:
-        """Overlap of what is lit with what is wanted white."""
+        """Intersection over union of lit and wanted pixels."""
         return float(iou(self.share > LIT, self.wanted > LIT))
 
 
 def pictures(primitives: Primitives) -> list[int]:
-    """Which primitives are pictures for an observer's eye; images with an opacity are a camera's, of where light shall be."""
+    """Indices of pictures for an observer. Images with opacity do not count: they are light distributions in a camera's view."""
     return [p for p in range(len(primitives)) if primitives.has_observer(p) and primitives.image_of(p).ndim == 2]
 
 
 def in_white(plan: Plan) -> Plan | None:
-    """The plan with white pictures for all observers, None where it has no observers."""
+    """The plan with white pictures for all observers, None without observers."""
     if plan.primitives is None or not (shown := pictures(plan.primitives)):
         return None
     symbols = (*plan.primitives.symbols, torch.ones(1, 1).to(plan.primitives.origin))
@@ -232,7 +232,7 @@ def in_white(plan: Plan) -> Plan | None:
 def observed_symbols(
     plan: Plan, lights: Sequence[Tensor], white: Sequence[Tensor], world: World, now: Situation
 ) -> tuple[ObservedSymbol, ...]:
-    """All symbols of a plan that are meant for an observer, in its order; its lights and those of white pictures `[n_p]`, one a module."""
+    """Observed symbols of a plan, in its order. lights, white: utilisations `[n_p]` of the plan and of white pictures, one a module."""
     primitives = plan.primitives
     if primitives is None or (who := primitives.observer) is None:
         return ()
@@ -248,7 +248,7 @@ def observed_symbols(
 
 
 def picture_view(eye: Tensor, origin: Tensor, d1: Tensor, d2: Tensor) -> View:
-    """The camera in an eye whose image is the flying picture, a rectangle: origin, d1, d2 `[3]` m."""
+    """View from an eye that is filled by a rectangular picture. eye, origin, d1, d2: `[3]` m, the last two are the picture's edges."""
     right, down = (torch.nn.functional.normalize(edge, dim=0) for edge in (d1, d2))
     T = torch.eye(4, dtype=torch.float64)
     T[:3, :3], T[:3, 3] = torch.stack([right, down, torch.linalg.cross(right, down)], -1), eye

@@ -1,4 +1,4 @@
-"""Values of a step's acts, the step's result, and the state before the next step."""
+"""Results of the five acts of a step, the step's result, and the state before the next step."""
 
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -25,18 +25,18 @@ from luxloop.perception.egomotion import Ego, Samples
 from luxloop.world.caches import Part, PartialImage
 from luxloop.world.frames import View
 
-OUTSIDE = ("plant", "look")  # parts of a step that no car computes
+OUTSIDE = ("plant", "look")  # parts of a step that run outside a car
 
 
 Lights = tuple[Utilisation, ...]  # of all modules
-Parts = Mapping[str, Sequence[Primitives]]  # that functions draw, by name
-Projections = Mapping[str, ProjectionCommand]  # of the symbols that are shown, by name
+Parts = Mapping[str, Sequence[Primitives]]  # primitives by function
+Projections = Mapping[str, ProjectionCommand]  # by symbol shown
 
 
 @dataclass(frozen=True, eq=False)
 class Sense:
-    """Before a step: the car's motion, the situation with commanded modules, the view of the camera from the ground frame as the car
-    believes, and what functions command, by name.
+    """Inputs of a step. ego: estimated motion. now: situation with commanded modules. view: estimated camera view in the ground frame.
+    commands: module commands by function.
     """
 
     ego: Ego | None
@@ -47,9 +47,9 @@ class Sense:
 
 @dataclass(frozen=True, eq=False)
 class StepPlan:
-    """Light of a step. functions: states of the functions that plan it. projections: by symbol. drawn: primitives by function.
+    """Planned light of a step. functions: states of the lighting functions. projections: by symbol. drawn: primitives by function.
 
-    measured: names of the symbols that are off in all exposures but the first. plans: with all symbols, and without the measured ones.
+    measured: names of symbols shown in the first exposure only. plans: with all symbols, and without the measured symbols.
     """
 
     functions: States
@@ -61,7 +61,7 @@ class StepPlan:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """exposures: utilisations of each. projections: symbols in each. powers: means over the step, by the lamps' sides."""
+    """Lamp drive of a step. exposures: utilisations of each. projections: symbols in each. powers: step means by lamp side."""
 
     exposures: tuple[Lights, ...]
     projections: tuple[Projections, ...]
@@ -70,10 +70,10 @@ class Drive:
 
 @dataclass(frozen=True, eq=False)
 class Reception:
-    """The exposures of a step, and what the plant gave for them. plant: its state. samples: the newest of each sensor.
+    """Exposures of a step and the plant's response. plant: state of the plant. samples: the newest of each sensor.
 
-    arrivals: before the first exposure, and by the end of each. frames: that came in this step. unpaired: those and all that wait for
-    their partner.
+    arrivals: before the first exposure, and by the end of each. frames: arrived in this step. unpaired: these and earlier frames awaiting
+    their on or off partner.
     """
 
     plant: Any
@@ -86,10 +86,10 @@ class Reception:
 
 @dataclass(frozen=True, eq=False)
 class Perception:
-    """What detector, tracker and learning functions know.
+    """State of detector, tracker and learning functions.
 
-    found, image: of the newest frame, None where none came; taken_s: its time, else that of the step. views: as the car believes, of the
-    exposures that await their frames, by number.
+    found, image: detections in and pixels of the newest frame, None without a frame. taken_s: time of that frame, else of the step.
+    views: estimated camera views of exposures awaiting their frames, by number.
     """
 
     tracks: Any
@@ -102,10 +102,10 @@ class Perception:
 
 @dataclass(frozen=True, eq=False)
 class Control:
-    """symbols: states of their controllers. measurements: of the symbols that are shown. awaiting, unpaired: exposures and frames without
-    their partners.
+    """Symbol control of a step. symbols: controller states. measurements: of symbols shown. awaiting: exposure pairs awaiting frames.
 
-    frames: the newest on and off frame, taken at taken_s, None and NaN where none came.
+    unpaired: frames awaiting their on or off partner. frames: the newest on and off frame, None without frames. taken_s: time of the on
+    frame, NaN without frames.
     """
 
     symbols: Mapping[str, SymbolState]
@@ -118,12 +118,11 @@ class Control:
 
 @dataclass(frozen=True, eq=False)
 class SimulationState:
-    """What the car knows before a step. tracks: the tracker's state, None without a detector. functions: what each of them has learnt.
+    """State before a step. tracks: state of the tracker, None without a detector. functions: states of the lighting functions.
 
-    plant: its state. arrivals: what has come in by its beginning. samples: the newest of each of the vehicle's sensors.
-    symbols: of each symbol that a controller holds. views: from the ground frame of the exposures that await their frames, by number.
-    awaiting: exposures without frames. unpaired: frames without the other one of their pair. commanded: what functions commanded last, by
-    name.
+    plant: state of the plant. arrivals: the newest arrivals. samples: the newest of each vehicle sensor. symbols: states of the
+    closed-loop symbols. views: estimated camera views in the ground frame of exposures awaiting frames, by number. awaiting: exposure
+    pairs awaiting frames. unpaired: frames awaiting their on or off partner. commanded: last module commands by function.
     """
 
     step: int
@@ -141,10 +140,10 @@ class SimulationState:
 
 @dataclass(frozen=True, eq=False)
 class StepResult:
-    """What happened in a step, by its acts.
+    """Result of a step, by act.
 
-    lights: utilisations `[n_p]` of the first exposure, one a module. powers: by the lamps' sides. timings: ms by part. processing_ms: see
-    `Clock`. Figures that need the truth are an `luxloop.loop.simulation.evaluator.Evaluation`.
+    lights: utilisations `[n_p]` of the first exposure, one a module. powers: by lamp side. timings: wall-clock ms by part. processing_ms:
+    see `Clock`. Metrics that need the truth are in `luxloop.loop.simulation.evaluator.Evaluation`.
     """
 
     step: int
@@ -160,12 +159,12 @@ class StepResult:
 
     @property
     def now(self) -> Situation:
-        """What was known when the light was planned."""
+        """The situation for which the light was planned."""
         return self.sense.now
 
     @property
     def time_s(self) -> float:
-        """Time since the start of the scenario."""
+        """Time in s since the start of the scenario."""
         return self.sense.now.time_s
 
     @property
@@ -175,31 +174,31 @@ class StepResult:
 
     @property
     def exposures(self) -> tuple[Exposure, ...]:
-        """Those of the step, in their order."""
+        """Exposures of the step, in order."""
         return self.reception.exposures
 
     @property
     def frame(self) -> Tensor | None:
-        """Digital numbers `[height, width]` of the newest frame that came in this step, None where none came."""
+        """Digital numbers `[height, width]` of the newest frame of this step, None without a frame."""
         return self.perception.image
 
     @property
     def frames(self) -> Images | None:
-        """The newest on and off frame that controllers got, None where none came."""
+        """The newest on and off frame for the controllers, None without frames."""
         return self.control.frames
 
     @property
     def measurement(self) -> Measurement:
-        """Of the only symbol that is shown and held. Raises LuxloopError where there are several or none."""
+        """Measurement of the only closed-loop symbol shown. Raises LuxloopError if there are several or none."""
         return self.control.measurements[only(self.control.measurements)]
 
 
 @dataclass(frozen=True)
 class Rollout:
-    """B runs of a symbol that is held.
+    """B runs of a closed-loop symbol.
 
-    poses: `[B, steps, 4]` that were shown (x, y in m, roll, pitch in rad). errors: `[B, steps, 4]`, how far the symbol was seen to be
-    off in the same units, 0 where it was lost. seen: `[B, steps]` bool, whether it was not.
+    poses: `[B, steps, 4]`, shown poses (x, y in m, roll, pitch in rad). errors: `[B, steps, 4]`, measured pose errors in the same units,
+    0 for a lost symbol. seen: `[B, steps]` bool, whether the symbol was measured.
     """
 
     poses: Tensor
@@ -208,7 +207,7 @@ class Rollout:
 
 
 class Clock:
-    """Time by part. ms: so far by the clock on the wall, by name. processing_ms: of the parts that the car computes, on the processor."""
+    """Times of a step's parts. ms: wall-clock time by part. processing_ms: CPU time of the parts that run in the car."""
 
     def __init__(self) -> None:
         self.ms: dict[str, float] = {}
@@ -216,13 +215,13 @@ class Clock:
         self._last, self._of_plant = _now_ms(), np.zeros(2)
 
     def watch(self, frames: Iterable[Frame]) -> None:
-        """Count what is computed of frames where they are read as time of the plant."""
+        """Count the lazy computation of these frames as time of the plant."""
         for frame in frames:
             if isinstance(frame.image, PartialImage):
                 frame.image.part_of = partial(self._compute, frame.image.part_of)
 
     def lap(self, part: str) -> None:
-        """Count the time since the last lap as that of a part."""
+        """Add the time since the last lap to a part."""
         now, of_plant = _now_ms(), self._of_plant
         wall, worked = (now - self._last - of_plant).tolist()
         for name, ms in ((part, wall), ("plant", float(of_plant[0]))):
@@ -238,10 +237,10 @@ class Clock:
 
 
 def _now_ms() -> np.ndarray:
-    """`[2]`: by the clock on the wall, and on the processor in this thread."""
+    """Wall-clock time and CPU time of this thread in ms, `[2]`."""
     return 1e3 * np.array([time.perf_counter(), time.thread_time()])
 
 
 def without(drawn: Parts, names: Collection[str]) -> dict[str, Sequence[Primitives]]:
-    """What the other functions draw."""
+    """Primitives without those of the named functions."""
     return {name: each for name, each in drawn.items() if name not in names}
