@@ -23,6 +23,7 @@ from luxloop.loop.report.picture import MARKS_RGB, WALL_DEG, camera_luminance, m
 from luxloop.loop.report.run_table import processing
 from luxloop.loop.report.style import SHARES, columns, drawing, field, page_title, rows
 from luxloop.loop.report.symbol import HIGH_IN, draw_symbol
+from luxloop.loop.report.terminal import plural
 from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
 from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.columns import of_one
@@ -95,7 +96,7 @@ def _title(simulation: Simulation, last: Evaluation, summary: Summary) -> tuple[
     return (
         scenario.name,
         simulation.modules[0].lamp.name,
-        f"{summary['steps']} steps to {last.time_s:.2f} s",
+        f"{plural(summary['steps'], 'step')} to {last.time_s:.2f} s",
         "" if dark_lx is None else f"{dark_lx:.3g} lx at most on masked objects",
         f"symbols on for {1 - scenario.off_share:.0%} at {scenario.rate_hz:g} Hz" if scenario.symbols else "",
         "" if folder is None else f"{SHADOW} {Path(folder).name}",

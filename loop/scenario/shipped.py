@@ -35,7 +35,7 @@ def find_file(name: str, kind: str) -> Path:
     if "/" in name or "." in name:
         return Path(name)
     hint = did_you_mean(name, known, f"shipped are {', '.join(known)}; a file or folder is given by its path")
-    raise LuxloopError(f"there are no {kind} {name!r}; {hint}")
+    raise LuxloopError(f"there is no {name!r} among the {kind}; {hint}")
 
 
 def original(like: str) -> Path:

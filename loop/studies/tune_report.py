@@ -10,7 +10,7 @@ from optuna.trial import TrialState
 
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.report.style import DEFAULTS, drawing
-from luxloop.loop.report.terminal import number
+from luxloop.loop.report.terminal import number, plural
 from luxloop.loop.studies import objective, ranges
 from luxloop.loop.studies.gradient import tune_by_gradient
 from luxloop.loop.studies.jobs import local
@@ -68,7 +68,9 @@ def page(tuned: Tuning) -> str:
     ]
     terms = "".join(f"- `{name}`: {objective.TERMS[name][2]}\n" for name in task.objective.weights)
     names = ", ".join(each.name for each in task.scenarios)
-    what = f"{len(tuned.trials)} trials ({pruned} pruned halfway) of {names} with {task.seeds} seeds each.{_notes(tuned)}"
+    what = (
+        f"{plural(len(tuned.trials), 'trial')} ({pruned} pruned halfway) of {names} with {plural(task.seeds, 'seed')} each.{_notes(tuned)}"
+    )
     table = tables.markdown_table(("key", "range", "given", "best", "importance"), [*rows, ["cost", "", *costs, ""]], "llr")
     return f"# Tuning\n\n{what} The cost is `{task.objective}`:\n\n{terms}\n{table}\n\n![History, and cost over each key]({PICTURE})\n"
 
