@@ -1,4 +1,4 @@
-"""Run a scenario: recorded, filmed and reported. The command line and Python programs use it alike."""
+"""Run a scenario with recording, film and report, for the command line and Python programs."""
 
 import gc
 from collections.abc import Callable
@@ -31,16 +31,16 @@ from luxloop.world.arrays import read_parquet
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import output_folder
 
-VIDEO_FPS = 10  # slower than most loops, so that the eye can follow their steps
+VIDEO_FPS = 10  # slower than most loops, so that single steps are visible
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RunResult:
-    """What a run has left; a notebook shows its report.
+    """Result of a run; a notebook displays its report.
 
-    summary: the run in a few numbers, those of `summary.json`. trajectory: a row a step; each column names its unit
-    (`trajectory.schema.field("time_s").metadata`), `trajectory["time_s"].to_numpy()` and `trajectory.to_pandas()` convert it.
-    folder: where the files lie (docs/recordings.md); one that `run` chose is removed with this result.
+    summary: the numbers of `summary.json`. trajectory: one row for each step; each column names its unit
+    (`trajectory.schema.field("time_s").metadata`), `trajectory["time_s"].to_numpy()` and `trajectory.to_pandas()` convert the table.
+    folder: of the recording (docs/recordings.md); a temporary folder is removed with this result.
     """
 
     summary: dict[str, Any]
@@ -57,7 +57,7 @@ class RunResult:
         return report.read_bytes() if report.is_file() else None
 
 
-def run(  # noqa: PLR0913 (each value stands by itself)
+def run(  # noqa: PLR0913 (independent options)
     scenario: Scenario | str | Path,
     folder: Path | str | None = None,
     *,
@@ -75,21 +75,20 @@ def run(  # noqa: PLR0913 (each value stands by itself)
     on_end: Callable[[], None] = lambda: None,
     **values: Any,
 ) -> RunResult:
-    """Run a scenario and record it into a folder, which `luxloop replay` reads.
+    """Run a scenario and record it in a folder for `luxloop replay`.
 
-    scenario: a shipped name or a path, or a loaded one. values: what `load` reads it with (`overrides=["road.kind=bumps"], steps=20`).
-    folder: where files go, in place of an older recording; None for a temporary one that lives as long as the result. device: "auto",
-    "cpu" or "cuda". video, report: whether these files are written, which takes seconds. frames: whether frames, light and ego
-    motion are kept, which takes megabytes a step. labels: "coco" or "kitti": frames are kept with labels in that layout (docs/data.md).
-    masks, depth, lux: whether labels have masks of instances and parts, depth, and illuminance of each pixel. checks: whether those of the
-    scenario that compare with another light are evaluated, too, for which that light runs beside; what has come of them is in
-    `summary["checks"]`. plant: makes what shows the light in place of the scenario's plant, a rig that is open, say.
-    on_step: called after every step. on_end: called before video and report are finished.
-    Ctrl-C ends the recording, reports on the steps so far and goes on as KeyboardInterrupt. Raises LuxloopError where the scenario cannot
-    be read or run, another process writes into the folder, or the plant does not know what labels tell; nothing is written before the
-    first step is done.
+    scenario: shipped name, path, or loaded scenario. values: arguments of `load` (`overrides=["road.kind=bumps"], steps=20`). folder: for
+    the recording, replaces an older one; None for a temporary folder that lasts as long as the result. device: "auto", "cpu" or "cuda".
+    video, report: whether to write these files, which takes seconds. frames: whether to record frames, light and ego motion, megabytes
+    for each step. labels: "coco" or "kitti", records frames with labels in that layout (docs/data.md). masks, depth, lux: whether labels
+    include masks of instances and parts, depth, and illuminance of each pixel. checks: whether to evaluate also the scenario's checks
+    against another light, which is then simulated alongside; outcomes are in `summary["checks"]`. plant: returns a plant that replaces
+    the scenario's plant, such as an open rig. on_step: called after every step. on_end: called before video and report are finished.
+    Ctrl-C ends the recording, reports on the completed steps and raises KeyboardInterrupt. Raises LuxloopError if the scenario cannot be
+    read or run, another process writes into the folder, or the plant does not know the truth for labels. Nothing is written before the
+    end of the first step.
     """
-    # What records, for which a preparation alone does not wait.
+    # Recording modules, imported here so that `prepare` need not load them.
     from luxloop.loop.recording.recorder import Recorder, refuse_other_files
     from luxloop.loop.recording.video import VideoWriter
     from luxloop.loop.report.highlights import Highlights
@@ -119,7 +118,7 @@ def run(  # noqa: PLR0913 (each value stands by itself)
         run_checks = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).evaluations())) if checks else None)
 
         def page(table: pa.Table, summary: dict[str, Any]) -> None:
-            from luxloop.loop.report.page import write_report  # Matplotlib, for which the first step does not wait
+            from luxloop.loop.report.page import write_report  # deferred, so that the first step need not load Matplotlib
 
             write_report(folder / REPORT, simulation, highlights, table, summary)
 
@@ -141,27 +140,26 @@ def run(  # noqa: PLR0913 (each value stands by itself)
 
 
 def prepare(scenario: Scenario, device: str = "auto", before: Simulation | None = None) -> Simulation:
-    """A simulation, to be stepped: `state = simulation.start()`, `state, result = simulation.step(state)`.
+    """Build a simulation to step: `state = simulation.start()`, `state, result = simulation.step(state)`.
 
-    scenario: a loaded one. device: "auto", "cpu" or "cuda". before: another one, whose parts that stay the same serve again.
-    Raises LuxloopError where a file is missing, and of a symbol that the lamps
-    cannot draw at its target, or that the camera cannot see there, or where a check names a column or light that is not there, or that the
-    plant does not know.
+    scenario: loaded scenario. device: "auto", "cpu" or "cuda". before: an earlier simulation, whose unchanged parts are reused. Raises
+    LuxloopError for a missing file, a symbol that the lamps cannot draw or the camera cannot see at its target, or a check of a column or
+    light that does not exist or needs the truth.
     """
     if before is not None:
-        before = replace(before, cache=before.cache.copy("motion"))  # which may have gone on from another one
+        before = replace(before, cache=before.cache.copy("motion"))  # its motion may continue that of another simulation
     simulation = Simulation.prepare(scenario, torch_device(device), before)
     refuse_unknown_columns(simulation)
     return simulation
 
 
 def check(scenario: Scenario, device: str = "auto") -> dict[str, Any]:
-    """Build everything that a scenario names, and return what it is; `in_words` says it. Raises LuxloopError where it cannot run.
+    """Build a scenario and return facts about it; `in_words` formats them. Raises LuxloopError if it cannot run.
 
-    `steps`, `road`, `base` (what shines below all functions), `functions` (their kinds by name), `controllers` (of symbols that are held,
-    by name), `objects` (their number), `detector` (None where there is none) and `notes` (sentences on what does nothing, or lies out of
-    the lamps' field). With a detector also the number of `boxes` that it finds in the first frame, None where none came, `lx_max`, the
-    most light on objects there (None where none is in sight), and `known`, whether the plant knows the truth.
+    `steps`, `road`, `base` (light below all functions), `functions` (kinds by name), `controllers` (of closed-loop symbols by name),
+    `objects` (their number), `detector` (None without one) and `notes` (sentences on functions without effect, symbols beyond the lamps'
+    field, and a missing rig). With a detector also `boxes` (number of detections in the first frame, None without a frame), `lx_max`
+    (largest illuminance on objects, None if none is visible), and `known` (whether the plant knows the truth).
     """
     simulation = prepare(scenario, device)
     notes = [*unmoved(scenario), *chain.from_iterable(_cut(name, each) for name, each in simulation.controlled.items())]
@@ -181,7 +179,7 @@ def check(scenario: Scenario, device: str = "auto") -> dict[str, Any]:
 
 
 def _cut(name: str, symbol: ControlledSymbol) -> list[str]:
-    """How much of a symbol's target lies beyond the lamps' field, and the remedy; empty where that is next to nothing."""
+    """Shares of a symbol's target beyond the lamps' field, with a remedy; empty if negligible."""
     shares = cut(symbol.projector, ProjectionCommand(symbol.projector.target)).tolist()
     return target_remedies(name, dict(zip(SIDES, shares, strict=True)))
 
@@ -198,7 +196,7 @@ def _first_look(simulation: Simulation) -> dict[str, Any]:
 
 
 def in_words(facts: dict[str, Any]) -> str:
-    """What `check` found, in a line."""
+    """The facts of `check` in one line."""
     start = f"{facts['steps']} steps, road {facts['road']}"
     held = {name: f", held by {controller}" for name, controller in facts["controllers"].items()}
     kinds = ", ".join(f"{name} ({kind}{held.get(name, '')})" for name, kind in facts["functions"].items()) or "none"
@@ -216,7 +214,7 @@ def _detector_in_words(facts: dict[str, Any]) -> str:
 
 
 def torch_device(name: str) -> torch.device:
-    """The device of a name; "auto" is a CUDA device where there is one. Raises LuxloopError where there is none of that name."""
+    """The device of a name; "auto" prefers CUDA. Raises LuxloopError for a missing CUDA device."""
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     device = torch.device(name)

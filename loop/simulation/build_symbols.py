@@ -1,4 +1,4 @@
-"""From a scenario to its symbols under control: sensor, evaluator, controller, and whether their light can be drawn and measured at all."""
+"""Builds closed-loop symbols from a scenario: sensor, evaluator, controller, and checks that the light can be drawn and measured."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -39,10 +39,10 @@ from luxloop.world.symbols import load_still
 def build_symbols(
     scenario: Scenario, modules: Sequence[ShiningModule], planner: Planner, world: World | None, cache: PartCache
 ) -> Mapping[str, ControlledSymbol]:
-    """The symbols of a scenario by name, from top to bottom. world: what is true, None where the plant does not know it.
+    """The closed-loop symbols of a scenario by name, from top to bottom. world: the true world, None without the truth.
 
-    Raises LuxloopError where a file is missing or broken, lamps cannot draw a symbol, the camera cannot see it, or a controller of the
-    user's own cannot be made.
+    Raises LuxloopError for a missing or broken file, a symbol that the lamps cannot draw or the camera cannot see, or a user's controller
+    that cannot be made.
     """
     base = planner.compose(Situation(0.0, torch.eye(4), torch.zeros(0, 3)), planner.start(), {}).base
     names = [name for name in planner.functions if name in scenario.symbols]
@@ -78,7 +78,7 @@ def _sensor(
 
 
 def _symbol_evaluator(sensor: SymbolSensor, world: World | None, road: Road, *optics: Any) -> SymbolEvaluator | None:
-    """None where the plant does not know the truth. Raises LuxloopError as `check_light`."""
+    """Evaluator of a symbol, None without the truth. Raises LuxloopError as `check_light`."""
     evaluator, (function, base, *_) = None, optics
     if world is not None:
         true_sensor = sensor if world.camera == sensor.camera else _sensor(world.camera, *optics)
@@ -89,14 +89,14 @@ def _symbol_evaluator(sensor: SymbolSensor, world: World | None, road: Road, *op
 
 
 def build_symbol_controller(params: AnyParams, sensor: SymbolSensor) -> SymbolController:
-    """The controller of a symbol. Raises LuxloopError where a road's file is missing, or a controller of one's own cannot be made."""
+    """The controller of a symbol. Raises LuxloopError for a missing road file, or a user's controller that cannot be made."""
     if isinstance(params, FeedforwardParams):
         params = params.model_copy(update={"road": find_road(params.road)})
     return build_controller(params, sensor)
 
 
 def check_light(sensor: SymbolSensor, evaluator: SymbolEvaluator | None, beam: str) -> None:
-    """Raises LuxloopError where lamps cannot draw the symbol at its target, or the camera cannot measure it.
+    """Raises LuxloopError if the lamps cannot draw the symbol at its target, or the camera cannot measure it there.
 
     beam: name of the base beam.
     """
@@ -127,7 +127,7 @@ def check_light(sensor: SymbolSensor, evaluator: SymbolEvaluator | None, beam: s
 
 
 def _without_headlamps(sensor: SymbolSensor, world: World) -> Tensor:
-    """Luminance `[h, w]` in cd/m^2 of a flat road where the symbol's target lies, in the light of all but the vehicle's headlamps."""
+    """Luminance `[h, w]` in cd/m^2 of a flat road at the symbol's target, in all light except the vehicle's headlamps."""
     target = ProjectionCommand(sensor.projector.target)
     crop = sensor.projector.footprint(target, world.view, sensor.params.footprint_margin_m)
     road, scene = flat_road(world.view.within(*crop.slices), sensor.model.albedo), world.scene
@@ -139,7 +139,7 @@ def _target(symbol: SymbolParams) -> str:
 
 
 def _pixels_there(projector: Projector) -> str:
-    """How large the finest pixels are, and how large the symbol, seen from the lamp: coarse pixels draw no symbol."""
+    """Sizes of the finest pixel and of the symbol seen from the lamp, in degrees, as text for an error."""
 
     def size_deg(module: DrawingModule) -> tuple[float, float]:
         light = module.pixel_controller.headlight

@@ -1,4 +1,4 @@
-"""What a scenario cannot ask of its lamps, camera and plant, by topic: each sentence names the key and the remedy."""
+"""Checks of a scenario against its lamps, camera and plant, by topic. Each error names the key and the remedy."""
 
 from collections.abc import Iterator, Sequence
 from itertools import chain
@@ -20,22 +20,22 @@ from luxloop.perception.detection.detector import TruthParams
 from luxloop.world.errors import LuxloopError, all_of, did_you_mean
 from luxloop.world.headlight.lamp import REST
 
-LEAST_PX = 4  # of a symbol's target in either direction; quadrants need two pixels each
+LEAST_PX = 4  # smallest extent of a target in either direction: two pixels for each quadrant
 Sentences = Iterator[str]
 Modules = Sequence[MountedModule]
 
 
 def check(scenario: Scenario, modules: Modules) -> None:
-    """Raises LuxloopError with the first thing that a scenario cannot ask for, before anything is built.
+    """Raises LuxloopError for the first error of a scenario, before anything is built.
 
-    modules: those that shine. What only a file's content, the user's own class or the rendered light can tell is refused where it is read.
+    modules: the shining modules. Errors in a file's content, a user's class or the rendered light are raised by their readers.
     """
     for sentence in chain.from_iterable(topic(scenario, modules) for topic in (_lighting, _functions, _plant, _symbols, _movements)):
         raise LuxloopError(sentence)
 
 
 def _lighting(scenario: Scenario, modules: Modules) -> Sentences:
-    """Beams, raw utilisations and painted pictures for modules that are there."""
+    """Errors of beams, raw utilisations and painted pictures."""
     lighting, sizes = scenario.lighting, {each.name: (each.headlight.pixel_rows, each.headlight.pixel_cols) for each in modules}
     for k, painted in enumerate(lighting.painted):
         key, size = f"lighting.painted[{k}]", painted.pictures[0].shape
@@ -60,7 +60,7 @@ def _lighting(scenario: Scenario, modules: Modules) -> Sentences:
 
 
 def _functions(scenario: Scenario, modules: Modules) -> Sentences:
-    """Functions for modules and objects that are there."""
+    """Functions with unknown modules or objects."""
     objects = [item.name for item in scenario.all_objects if item.category is not None]
     for key, function in ((f"functions.{name}", each) for name, each in scenario.functions.items()):
         yield from _unknown_modules(key, function, modules)
@@ -80,7 +80,7 @@ def _unknown_modules(key: str, params: Any, modules: Modules) -> Sentences:
 
 
 def _plant(scenario: Scenario, modules: Modules) -> Sentences:
-    """A digitised module in the simulated world, and a true camera above the road."""
+    """A digitised module with an unsuitable plant, or a true camera below the road."""
     plant, error = scenario.plant, scenario.disturbances.calibration
     if scenario.digitised_module is not None and not isinstance(plant, SimulatedPlantParams | RecordedPlantParams):
         yield (
@@ -92,7 +92,7 @@ def _plant(scenario: Scenario, modules: Modules) -> Sentences:
 
 
 def _symbols(scenario: Scenario, modules: Modules) -> Sentences:
-    """Targets of symbols in the camera's view."""
+    """Symbol targets outside the camera's view."""
     for name, symbol in scenario.symbols.items():
         target = f"functions.{name}: the target at x_m = {symbol.x_m:g}, y_m = {symbol.y_m:g}"
         if not _in_the_image(symbol.held, scenario.camera):
@@ -112,7 +112,7 @@ def _in_the_image(symbol: SymbolParams, camera: CameraParams) -> bool:
 
 
 def _movements(scenario: Scenario, modules: Modules) -> Sentences:
-    """Functions that turn or dim modules which can be turned, and of which none draws a symbol under control."""
+    """Functions whose modules cannot move, or draw a closed-loop symbol."""
     drawing = [(name, modules[k]) for name, symbol in scenario.symbols.items() for k in drawing_modules(symbol, modules)]
     for name, function in scenario.functions.items():
         if isinstance(function, DirectParams):
@@ -129,7 +129,7 @@ def _movements(scenario: Scenario, modules: Modules) -> Sentences:
 
 
 def at_rest(symbol: str, module: str, how: str) -> str:
-    """That a module which draws a symbol under control must rest. how: what moves it."""
+    """Error text: a module that draws a closed-loop symbol must be at rest. how: turned or dimmed, and by which function."""
     return (
         f"functions.{symbol}.modules: {module!r} is {how}, but a controller can hold a symbol only with modules at rest; "
         "name another module here, or other modules in the function that moves them"
@@ -137,9 +137,10 @@ def at_rest(symbol: str, module: str, how: str) -> str:
 
 
 def check_truth(scenario: Scenario, known: bool) -> None:
-    """Raises LuxloopError that names all keys that need a plant which knows the truth, unless it is known, or the simulated world.
+    """Raises LuxloopError with all keys that need the truth or the simulated world, if the plant lacks it. known: whether the plant knows
+    the truth.
 
-    In shadow, where nothing is shown, objects are merely unknown.
+    A shadow run shows no light and may have unknown objects.
     """
     kind, lighting = scenario.plant.kind, scenario.lighting
     objects = any(each.category for each in scenario.all_objects) and scenario.detector is None and not shadow_of(scenario.plant)

@@ -1,6 +1,4 @@
-"""A plant's clock, counted from its start, and what a plant of the user's own hands over: refused in a sentence where the loop could make
-nothing, or something wrong, of it.
-"""
+"""A plant's clock shifted to zero at its start, and checks of the arrivals from a user's plant."""
 
 import math
 from collections import Counter
@@ -22,10 +20,10 @@ from luxloop.world.plugin import in_a_line
 
 @dataclass(frozen=True, eq=False)
 class FromZero:
-    """A plant in s since its start; its state is when that was, by the plant's clock, and the plant's own state. like: a tensor of the
-    lamps', whose dtype and device frames and samples have.
+    """A plant whose time in s begins at 0. State: start time by the plant's clock, and the plant's state. like: tensor with the dtype and
+    device of frames and samples.
 
-    The plant gets back its own times to the bit, for the difference of two times is exact in float64 unless their magnitudes are far apart.
+    The plant gets its own times back to the bit: the difference of two times is exact in float64 unless their magnitudes are far apart.
     """
 
     plant: Plant
@@ -35,17 +33,17 @@ class FromZero:
 
     @property
     def truth(self) -> World | None:
-        """What is true at a time since the start, None where the plant does not know it."""
+        """The true world, by time since the start; None if the plant does not know it."""
         return getattr(self.plant, "truth", None)
 
     def start(self) -> tuple[Any, Arrivals]:
-        """State and arrivals before the first exposure, at 0 s. Raises LuxloopError where the plant gives no such thing."""
+        """State and arrivals before the first exposure, at 0 s. Raises LuxloopError for invalid arrivals."""
         with locate(f"{self.name}: start"):
             state, arrivals = check_arrivals(self.plant.start(), None, self.like)
         return (arrivals.time_s, state), _since(arrivals.time_s, arrivals)
 
     def show(self, state: Any, exposure: Exposure) -> tuple[Any, Arrivals]:
-        """Show an exposure; what has come in by its end. Raises LuxloopError where the plant gives no such thing."""
+        """State and arrivals after an exposure. Raises LuxloopError for invalid arrivals."""
         start_s, own = state
         exposure = replace(exposure, start_s=start_s + exposure.start_s)
         with locate(f"{self.name}: show"):
@@ -55,7 +53,7 @@ class FromZero:
         return (start_s, own), _since(start_s, arrivals)
 
     def close(self) -> None:
-        """End what the plant holds open."""
+        """Close the plant, if it can be closed."""
         close_plant(self.plant)
 
 
@@ -72,9 +70,9 @@ def _since(start_s: float, arrivals: Arrivals) -> Arrivals:
     return Arrivals(arrivals.time_s - start_s, tuple(map(frame, arrivals.frames)), tuple(samples), objects)
 
 
-ROUNDING_S = 1e-6  # of sums of periods and of clocks that count from 1970
+ROUNDING_S = 1e-6  # rounding of summed periods and of clocks that count from 1970
 TIME = "give the plant's time in s, as a number"
-KINDS = {  # of what arrives: type, and what to give
+KINDS = {  # fields of arrivals: type and remedy
     "frames": (Frame, "luxloop.Frame; give frames=(luxloop.Frame(...),), or () where none has come"),
     "samples": (Sample, "luxloop.Sample; give samples=(luxloop.Sample(...),), or leave them out"),
     "objects": (TrackedObject, "TrackedObject; give objects=(...), or leave them out"),
@@ -82,9 +80,10 @@ KINDS = {  # of what arrives: type, and what to give
 
 
 def check_arrivals(gave: Any, exposure: Exposure | None, like: Tensor) -> tuple[Any, Arrivals]:
-    """State and arrivals that a plant gives for an exposure, None at its start. like: a tensor of the dtype and on the device of samples.
+    """State and arrivals from a plant, checked. gave: its return value. exposure: None at the start. like: tensor with the dtype and device
+    of samples.
 
-    Raises LuxloopError where they are something else, but for frames' times and images, see `check_frame`.
+    Raises LuxloopError for anything else. `check_frame` checks times and images of frames.
     """
     if not isinstance(gave, tuple) or len(gave) != 2 or not isinstance(gave[1], Arrivals):
         what = f"({', '.join(type(each).__name__ for each in gave)})" if isinstance(gave, tuple) else type(gave).__name__
@@ -121,7 +120,7 @@ def check_arrivals(gave: Any, exposure: Exposure | None, like: Tensor) -> tuple[
 
 
 def _check_samples(arrivals: Arrivals, like: Tensor) -> None:
-    """Raises LuxloopError where samples are not what their sensors tell, as tensors like another one."""
+    """Raises LuxloopError for samples of an unknown sensor, or with invalid times or values. like: tensor with their dtype and device."""
     for sample in arrivals.samples:
         if sample.sensor not in VALUES:
             raise LuxloopError(f"gives a sample of {sample.sensor!r}; {did_you_mean(str(sample.sensor), VALUES)}")
@@ -142,7 +141,7 @@ def _check_samples(arrivals: Arrivals, like: Tensor) -> None:
 
 
 def check_frame(frame: Frame, span_s: tuple[float, float], now_s: float, camera: CameraParams, like: Tensor) -> None:
-    """Raises LuxloopError for a frame that was not taken within a span of time, has not arrived by now, or is not of the camera."""
+    """Raises LuxloopError for a frame taken outside span_s, arrived after now_s, or with an image that does not fit the camera."""
     if frame.image is None:
         return
     with locate(f"frame {frame.number}"):
@@ -171,7 +170,7 @@ def check_frame(frame: Frame, span_s: tuple[float, float], now_s: float, camera:
 
 
 def _check_times(*times_s: Any) -> None:
-    """Raises LuxloopError where one is no number."""
+    """Raises LuxloopError for a time that is not a number."""
     if strange := [each for each in times_s if not _is_time(each)]:
         raise LuxloopError(f"has the time {strange[0]!r}; {TIME}")
 

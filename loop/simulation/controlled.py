@@ -1,4 +1,4 @@
-"""Symbols among the lighting functions that a controller holds straight: what is measured of them, and what is drawn."""
+"""Closed-loop symbols among the lighting functions: drawing, measurement and control."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,14 +25,14 @@ from luxloop.perception.extraction import ExtractionStatus
 from luxloop.perception.metrics import THRESHOLD
 from luxloop.world.texels import Window
 
-SAME = 1e-4  # of a utilisation, which more than rounding changes
+SAME = 1e-4  # difference of utilisations within rounding
 
 
 @dataclass(frozen=True)
 class SymbolState:
-    """controller: its state. turn: step in which it was measured last.
+    """State of a symbol. controller: controller state. turn: step of the last measurement.
 
-    shape: `[4]` of the road on which it was seen, None for the flat one.
+    shape: `[4]` of the measured road, None for a flat road.
     """
 
     controller: Any
@@ -42,9 +42,9 @@ class SymbolState:
 
 @dataclass(frozen=True, eq=False)
 class ControlledSymbol:
-    """A symbol that is held.
+    """A closed-loop symbol.
 
-    drawn_by: indices of the car's modules that draw it. evaluator: None where the plant does not know the truth.
+    drawn_by: indices of the modules that draw the symbol. evaluator: None without the truth.
     """
 
     function: SymbolFunctionParams
@@ -55,32 +55,32 @@ class ControlledSymbol:
 
     @property
     def params(self) -> ControllerParams:
-        """Of its controller."""
+        """Controller parameters."""
         assert self.function.controller is not None
         return self.function.controller
 
     @property
     def projector(self) -> Projector:
-        """What draws it."""
+        """Projector that draws the symbol."""
         return self.sensor.projector
 
     @cached_property
     def brightness(self) -> Tensor:
-        """Median luminance `[]` in cd/m^2 at its target on a flat road."""
+        """Median luminance `[]` in cd/m^2 of the symbol at its target on a flat road."""
         return brightness(self.sensor, self.evaluator)
 
     def in_open_loop(self) -> "ControlledSymbol":
-        """The same without control: drawn at its target for a flat road."""
+        """The symbol in open loop, drawn at its target for a flat road."""
         return replace(self, controller=build_controller(OpenLoopParams(), self.sensor))
 
     def start(self) -> SymbolState:
-        """Before anything is seen."""
+        """The state before the first measurement."""
         return SymbolState(self.controller.start(self.function.start_pose.pose.to(self.projector.target)))
 
     def command(self, projection: ProjectionCommand, T_ground_body: Tensor | None) -> tuple[Primitives, ...]:
-        """What a projection asks of the modules, in the ground frame; nothing of one that is all pixels.
+        """Primitives of a projection in the ground frame; empty if the projection sets pixels directly.
 
-        T_ground_body: `[4, 4]`, None of a body that stands level.
+        T_ground_body: `[4, 4]`, None for a standing, level body.
         """
         if projection.raw is not None:
             return ()
@@ -98,15 +98,15 @@ class ControlledSymbol:
         return (concatenate(*parts),)
 
     def light(self, on: Sequence[Utilisation], off: Sequence[Utilisation]) -> tuple[Utilisation, ...]:
-        """What the symbol adds to the base beams that its controller believes in, one a module that draws it.
+        """Utilisations of the drawing modules with the symbol on the assumed base beams, one a module.
 
-        on, off: of all modules with the symbol and without it.
+        on, off: utilisations of all modules with and without the symbol.
         """
-        beams = zip(self.drawn_by, self.projector.resting, strict=True)  # the same as off where nothing else shines
+        beams = zip(self.drawn_by, self.projector.resting, strict=True)  # equal to off without other functions
         return tuple(on[k] if off[k].u is beam.u else Utilisation(beam.u + on[k].u - off[k].u) for k, beam in beams)
 
     def step(self, state: SymbolState, name: str, pair: ExposurePair, ego: Ego | None) -> tuple[SymbolState, Measurement]:
-        """Measure the frames of a pair of exposures that shows it, unless they are lost, and control. name: its own."""
+        """Measure a pair that shows the symbol, and step its controller. name: of the symbol. ego: newest estimated motion."""
         shown = Projection(pair.on.projections[name], self.light(pair.on.lights, pair.off.lights), pair.ego)
         frames = pair.images if pair.measures(name) else None
         bias = None if pair.alone or frames is None else self._bias(shown)
@@ -120,8 +120,8 @@ class ControlledSymbol:
         return SymbolState(self.controller.step(state.controller, Observation(seen, frames, shown, ego)), state.turn, seen.shape), seen
 
     def _bias(self, shown: Projection) -> Tensor | None:
-        """Feature bias caused by other functions' light, `[4]`, NaN where they leave too little of the symbol to be measured; None where
-        they do not touch it, or where the flat road would not show it anyway.
+        """Feature bias caused by other functions' light, `[4]`; NaN if they leave too little of the symbol to measure. None if they do not
+        affect it, or if it could not be measured on a flat road even alone.
         """
         alone = self.projector.draw(shown.projection)
         if all(torch.allclose(a.u, b.u, rtol=0, atol=SAME) for a, b in zip(shown.lights, alone, strict=True)):
@@ -130,14 +130,14 @@ class ControlledSymbol:
         return left - whole if bool(whole.isfinite().all()) else None
 
     def footprint(self, projection: ProjectionCommand) -> Window:
-        """Where the camera may see a projection."""
+        """Image window of a projection in the camera, with a margin."""
         return self.projector.footprint(projection, self.sensor.model.eye.view, self.sensor.params.footprint_margin_m)
 
 
 def choose_measured(
     symbols: Mapping[str, ControlledSymbol], states: Mapping[str, SymbolState], projections: Mapping[str, ProjectionCommand]
 ) -> tuple[str, ...]:
-    """Names of the symbols to be measured together: those that have waited longest, no two in one part of the image."""
+    """Symbols to measure together in a step: the longest unmeasured first, with separate image windows."""
     if len(projections) < 2:
         return tuple(projections)
     taken: dict[str, Window] = {}

@@ -1,7 +1,7 @@
-"""Frames in a folder: what a plant was shown and what it handed over, bit for bit, in files that run no code when they are read.
+"""Recorded frames: a plant's exposures and arrivals, bit for bit, in files that execute no code when read.
 
-A table with a row an exposure and a last one for the end; a grey PNG a frame, of 8 bits where the camera has no more, else of 16; a NumPy
-archive for each light, which several exposures may share.
+A table has a row for each exposure and a last row for the end. Each frame is a grey PNG of 8 bits, or 16 for a camera of more than 8. Each
+light is a NumPy archive, which several exposures may share.
 """
 
 import json
@@ -33,9 +33,9 @@ from luxloop.world.params import PLAIN
 
 FOLDER: Final = "frames"
 TABLE: Final = f"{FOLDER}/exposures.parquet"
-PATTERNS: Final = {FOLDER: ("frame_*.png", "twin_*.png", "light_*.npz", Path(TABLE).name)}  # of the files of frames
+PATTERNS: Final = {FOLDER: ("frame_*.png", "twin_*.png", "light_*.npz", Path(TABLE).name)}  # names of the files of frames
 AGAIN: Final = "record the run again with --frames"
-QUICK: Final = (cv2.IMWRITE_PNG_COMPRESSION, 1)  # noise shrinks no further, however long it takes
+QUICK: Final = (cv2.IMWRITE_PNG_COMPRESSION, 1)  # higher levels do not compress noise further
 Row = dict[str, Any]
 
 # name: (type, unit, description)
@@ -59,22 +59,22 @@ SCHEMA = pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": t
 
 
 def image_file(directory: Path, number: int) -> Path:
-    """Where the frame of an exposure lies."""
+    """Path of the frame of an exposure."""
     return directory / FOLDER / f"frame_{number:08d}.png"
 
 
 def twin_file(directory: Path, number: int) -> Path:
-    """Where the simulated frame of an exposure of a rig lies."""
+    """Path of the simulated frame of a rig's exposure."""
     return directory / FOLDER / f"twin_{number:08d}.png"
 
 
 def light_file(directory: Path, number: int) -> Path:
-    """Where a light lies."""
+    """Path of a light."""
     return directory / FOLDER / f"light_{number:08d}.npz"
 
 
 def write_image(file: Path, image: Tensor, bits: int) -> None:
-    """Write a frame of digital numbers `[height, width]` of this many bits. Raises LuxloopError for other values, or if it cannot write."""
+    """Write a frame of digital numbers `[height, width]` of this bit depth. Raises LuxloopError for other values or a write error."""
     numbers = image.clamp(0, 2**bits - 1).round()
     if not numbers.equal(image):
         raise LuxloopError(
@@ -90,7 +90,7 @@ def read_image(file: Path, camera: CameraParams, like: Tensor) -> Tensor:
     """Digital numbers `[height, width]` in the dtype and on the device of like. Raises LuxloopError for a frame of another camera."""
     with reading(file, "damaged, or no frame of a recording", AGAIN):
         image = decode(content(file), str(file))
-        small = image is not None and camera.bits <= 8 and image.dtype == np.uint8  # earlier versions wrote these with 16 bits, too
+        small = image is not None and camera.bits <= 8 and image.dtype == np.uint8  # earlier versions wrote 16 bits for these cameras
         if image is None or not (small or image.dtype == np.uint16) or image.ndim != 2:
             raise ValueError("no grey PNG of 16 bits")
         if image.shape != (camera.height_px, camera.width_px):
@@ -104,7 +104,7 @@ def read_image(file: Path, camera: CameraParams, like: Tensor) -> Tensor:
 
 
 def light_arrays(exposure: Exposure) -> Arrays:
-    """What an exposure shows, by name."""
+    """Lights, commands and projections of an exposure as arrays by name."""
     arrays: dict[str, Tensor | None] = {}
     if exposure.commands:
         arrays["commands"] = torch.tensor([astuple(each) for each in exposure.commands], dtype=torch.float64)
@@ -121,7 +121,7 @@ def light_arrays(exposure: Exposure) -> Arrays:
 
 
 def write_light(file: Path, arrays: Arrays) -> None:
-    """Write what an exposure shows. Raises LuxloopError where it cannot be written."""
+    """Write the arrays of an exposure. Raises LuxloopError for a write error."""
     with whole(file) as part:
         write_npz(part, arrays.items())
 
@@ -129,9 +129,9 @@ def write_light(file: Path, arrays: Arrays) -> None:
 def read_light(
     file: Path, pixels: Sequence[int], device: torch.device
 ) -> tuple[tuple[Utilisation, ...], dict[str, ProjectionCommand], Commands]:
-    """Lights, projections by the names of their symbols, on the device, and commands. pixels: of each module.
+    """Lights, projections by symbol, and commands. pixels: number in each module. device: of lights and projections.
 
-    Raises LuxloopError for utilisations of other modules.
+    Raises LuxloopError for a damaged file or the light of other modules.
     """
     with reading(file, "damaged, or no light of a recording", AGAIN):
         arrays = read_npz(regular(file))
@@ -154,12 +154,12 @@ def read_light(
 
 
 def sample_values(samples: Sequence[Sample]) -> str:
-    """Samples of the vehicle's sensors, as a row holds them."""
+    """Samples of the vehicle's sensors as JSON for a row."""
     return json.dumps([[each.sensor, each.measured_s, each.arrived_s, each.values.tolist()] for each in samples])
 
 
 def read_samples(row: Mapping[str, Any], like: Tensor) -> tuple[Sample, ...]:
-    """The samples of a row, in the dtype and on the device of like. Raises ValueError, TypeError or KeyError for anything else."""
+    """Samples of a row in the dtype and on the device of like. Raises ValueError, TypeError or KeyError for invalid samples."""
     samples = tuple(Sample(sensor, at_s, by_s, like.new_tensor(values)) for sensor, at_s, by_s, values in json.loads(row["samples"]))
     for each in samples:
         if each.values.shape != (VALUES[each.sensor] or len(each.values),) or not each.values.isfinite().all():
@@ -170,10 +170,10 @@ def read_samples(row: Mapping[str, Any], like: Tensor) -> tuple[Sample, ...]:
 
 
 def read_exposures(file: Path) -> list[Row]:
-    """The rows of a table, that of the end included. Raises LuxloopError where it is missing, damaged, or has no exposure."""
+    """Rows of a table of exposures, including the last row for the end. Raises LuxloopError if it is missing, damaged or empty."""
     with reading(file, "damaged, or no table of exposures", AGAIN):
         table = read_parquet(file)
-        if "objects" not in table.column_names:  # as written by earlier versions
+        if "objects" not in table.column_names:  # written by an earlier version
             table = table.append_column("objects", pa.nulls(table.num_rows))
         rows: list[Row] = table.select(SCHEMA.names).cast(SCHEMA).to_pylist()
         if len(rows) < 2 or [row["number"] for row in rows] != list(range(len(rows))):
@@ -193,7 +193,7 @@ def read_exposures(file: Path) -> list[Row]:
 
 
 def _tensor(arrays: Arrays, name: str, device: torch.device, shape: tuple[int, ...]) -> Tensor:
-    """Raises ValueError where an array is not of that shape or not finite, and KeyError where it is missing."""
+    """An array as a tensor. Raises ValueError for another shape or dtype or values not finite, KeyError for a missing array."""
     array = arrays[name]
     if array.shape != shape or array.dtype not in (np.float32, np.float64) or not np.isfinite(array).all():
         raise ValueError(f"{name} is no finite float {list(shape)}, but {array.dtype} {list(array.shape)}")

@@ -1,4 +1,4 @@
-"""The car's lamps, ready to be driven: every module that shines, with its pixel controller and its base beams."""
+"""The car's lamps: modules with pixel controllers and base beams, and their utilisations and powers."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -29,10 +29,10 @@ from luxloop.world.scene.scene import StreetLamp
 
 @dataclass(frozen=True, eq=False)
 class MountedModule:
-    """One module of a lamp on the car.
+    """A lamp's module on the car.
 
-    number: its place in the lamp. headlight: its light with the scenario's intensity. T_world_module: `[4, 4]`, at rest. swivel_deg,
-    level_deg: how far it can be turned from there, least and most.
+    number: index in the lamp. headlight: light at the scenario's intensity. T_world_module: pose `[4, 4]` at rest. swivel_deg, level_deg:
+    smallest and largest turn from rest.
     """
 
     side: str
@@ -45,16 +45,15 @@ class MountedModule:
 
     @property
     def name(self) -> str:
-        """As lighting functions name it, "left hires"."""
+        """Name in lighting functions, such as "left hires"."""
         return f"{self.side} {self.lamp.modules[self.number].name}"
 
 
 @dataclass(frozen=True, eq=False)
 class ShiningModule(MountedModule):
-    """A module with its pixel controller. flux: `[n_p]` lm at full utilisation, which stands for power as well; flux_lm: of all its pixels.
+    """A module with its pixel controller. flux: `[n_p]` lm at full utilisation, also the measure of power. flux_lm: sum of flux.
 
-    beams: the base beams that the scenario may ask for, by name; empty where the module shows raw utilisations. intensity: its maximum
-    now, as a share.
+    beams: the scenario's possible base beams by name, empty for raw utilisations. intensity: commanded dimming, 0..1.
     """
 
     controller: PixelController
@@ -65,19 +64,19 @@ class ShiningModule(MountedModule):
     intensity: float = 1.0
 
     def under(self, command: ModuleCommand) -> "ShiningModule":
-        """The module as it is commanded."""
+        """The module turned and dimmed by a command."""
         return replace(self, T_world_module=command.turn(self.T_world_module), intensity=command.intensity)
 
     def beam(self, name: str) -> Tensor:
-        """Utilisation `[n_p]` of a beam of the lamp. Raises LuxloopError where it has none of that name."""
+        """Utilisation `[n_p]` of a lamp's beam. Raises LuxloopError for an unknown beam."""
         return self.lamp.beam(name)[self.number].to(self.flux)
 
     def showing(self, beam: str) -> "ShiningModule":
-        """The module with this base beam alone. Raises LuxloopError where the lamp has none of that name."""
+        """The module with this base beam alone. Raises LuxloopError for an unknown beam."""
         return replace(self, beams={beam: Morphing(self.headlight, self.beam(beam))}, raw=None)
 
     def base(self, plan: Plan) -> Tensor:
-        """Utilisation `[n_p]` below all functions: the raw one, else a base beam, morphed and dimmed."""
+        """Utilisation `[n_p]` below all functions: raw, else the base beam, morphed and dimmed."""
         if self.raw is not None:
             return self.raw.at(plan.time_s).to(self.flux)
         beam = plan.base
@@ -86,7 +85,7 @@ class ShiningModule(MountedModule):
         return shown if beam.share == 1 else beam.share * shown
 
     def utilisation(self, plan: Plan, secondary: SecondaryRays) -> Utilisation:
-        """Of base beam and functions, and what is painted over them; secondary: what this module's rays ask where they hit."""
+        """Utilisation from base beam, functions and painted pictures. secondary: secondary rays of this module."""
         base, primitives, layer = self.base(plan), plan.for_module(self.name), plan.painted.get(self.name)
         if primitives is None or (layer is not None and not layer.over):
             light = Utilisation(base, slice(0, 0) if self.raw is None and plan.base.name == "off" else None)
@@ -97,9 +96,9 @@ class ShiningModule(MountedModule):
 
 @dataclass(frozen=True)
 class LampPower:
-    """What a lamp gives and takes: flux in lm, power as a share of all pixels on, the factor by which its limit dims it, and watts.
+    """Flux and power of a lamp: flux in lm, its share of the flux of all pixels on, dimming factor of the power limit, power in W.
 
-    flux_lm_peak: of its brightest exposure.
+    flux_lm_peak: flux in lm of the brightest exposure.
     """
 
     flux_lm: float
@@ -110,7 +109,7 @@ class LampPower:
 
 
 def mean_powers(powers: Sequence[Mapping[str, LampPower]], shares: Sequence[float]) -> Mapping[str, LampPower]:
-    """Time means over exposures, by the lamps' sides; the factor is the least. Of one alone, shown for the whole step, that."""
+    """Time means over exposures by lamp side, except the smallest factor and largest peak. A single exposure lasts the whole step."""
     if len(powers) == 1:
         return powers[0]
 
@@ -122,12 +121,12 @@ def mean_powers(powers: Sequence[Mapping[str, LampPower]], shares: Sequence[floa
 
 
 def under(modules: tuple[ShiningModule, ...], commands: Commands) -> tuple[ShiningModule, ...]:
-    """Modules as they are commanded."""
+    """Modules turned and dimmed by commands, unchanged without commands."""
     return tuple(each.under(command) for each, command in zip(modules, commands, strict=True)) if commands else modules
 
 
 def in_reach(modules: Sequence[ShiningModule], primitives: Primitives, now: Situation) -> bool:
-    """Whether a ray of any module that draws primitives can hit one of them."""
+    """Whether a ray of any module can hit one of its primitives."""
     for module, (_, light) in zip(modules, now.lights, strict=True):
         mine = primitives.for_module(module.name)
         if any(not window.empty for window in projected_windows(mine, module.headlight, light.T_world_headlight.cpu())):
@@ -136,7 +135,7 @@ def in_reach(modules: Sequence[ShiningModule], primitives: Primitives, now: Situ
 
 
 def lamp_modules(modules: Iterable[MountedModule]) -> tuple[LampModule, ...]:
-    """The modules as a plant gets them."""
+    """Modules in the form for a plant."""
     return tuple(LampModule(each.name, each.headlight, each.T_world_module) for each in modules)
 
 
@@ -149,21 +148,21 @@ def flux_by_side(modules: Sequence[ShiningModule], lights: Sequence[Tensor]) -> 
 
 
 def _flux_lm(light: Utilisation, flux: Tensor) -> float:
-    """Of a light in lm; flux: `[n_p]` lm of each of its pixels. Only pixels that may be lit are looked at."""
+    """Flux of a light in lm. flux: `[n_p]` lm of each pixel. Sums only pixels that may be lit."""
     lit = slice(None) if light.band is None else light.band
     return float(light.u[lit] @ flux[lit])
 
 
 @dataclass(frozen=True, eq=False)
 class LampDriver:
-    """All modules with what limits their light. world: what is true, which street lamps and shadow rays need."""
+    """Drives all modules within the power limit. world: the true world, for street lamps and shadow rays."""
 
     scenario: Scenario
     modules: tuple[ShiningModule, ...]
     world: World | None
 
     def aim(self, now: Situation) -> list[ShiningModule]:
-        """The modules at the poses and intensities of a situation."""
+        """Modules at the poses and intensities of a situation."""
         return [
             replace(module, T_world_module=light.T_world_headlight, intensity=light.intensity)
             for module, (_, light) in zip(self.modules, now.lights, strict=True)
@@ -172,9 +171,9 @@ class LampDriver:
     def drive(
         self, plan: Plan, now: Situation, more: tuple[Plan, tuple[Utilisation, ...]] | None = None
     ) -> tuple[tuple[Utilisation, ...], Mapping[str, LampPower]]:
-        """Utilisations of all modules and powers by lamp, within its limit if there is one.
+        """Utilisations of all modules and powers by lamp, within the power limit if any.
 
-        more: a plan that draws all that this one draws and maybe more, and its light, which modules keep that draw none of the rest.
+        more: a plan with all primitives of this plan and possibly more, and its light, reused by modules without additional primitives.
         """
         params, modules = self.scenario.lighting, self.aim(now)
         street_lamps: tuple[StreetLamp, ...] = ()
@@ -208,12 +207,12 @@ class LampDriver:
 
 
 def _drawn(plan: Plan, module: ShiningModule) -> int:
-    """How many primitives a module draws."""
+    """Number of primitives that a module draws."""
     return len(plan.for_module(module.name) or ())
 
 
 def attitude(ego: Ego | None) -> Tensor:
-    """Pose `[4, 4]` of the body in the ground frame, as measured; level where nothing is."""
+    """Measured pose `[4, 4]` of the body in the ground frame, level without a measurement."""
     if ego is None or math.isnan(ego.attitude_s):
         return torch.eye(4, dtype=torch.float64)
     return ego.at(ego.time_s).T_ground_body.double().cpu()

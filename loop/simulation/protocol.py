@@ -1,4 +1,4 @@
-"""What every plant is: it shows light, exposes frames of it and owns time. The loop knows nothing else of the world."""
+"""The plant interface: a plant shows light, exposes frames and owns time. The loop knows the world only through its plant."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,11 +18,10 @@ Objects = tuple[TrackedObject, ...]
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
-    """Light that is shown for `duration_s` s from `start_s` s on, with one frame of it.
+    """Light shown for `duration_s` s from `start_s` s on, and captured in one frame.
 
-    number: ascending, never used twice. lights: utilisations, one a module, base beams included. projections: of the symbols in these
-    lights that controllers hold, by name; a plant has no use for them. commands: how modules are turned and dimmed, one a module; empty
-    where all are at rest.
+    number: ascending and unique. lights: utilisations, one a module, base beams included. projections: of the closed-loop symbols in
+    these lights, by name; a plant ignores them. commands: turn and dimming of each module; empty if all are at rest.
     """
 
     number: int
@@ -35,10 +34,10 @@ class Exposure:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A frame that has come, or word that it is lost.
+    """An arrived or lost frame.
 
-    number: of its exposure. taken_s, arrived_s: times in s. image: digital numbers `[height, width]`, None where it is lost. shown: what it
-    shows where that is not what was asked for, None where it is.
+    number: of its exposure. taken_s, arrived_s: times in s. image: digital numbers `[height, width]`, None if lost. shown: the exposure
+    in the frame, None if it equals the commanded exposure.
     """
 
     number: int
@@ -50,10 +49,10 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Arrivals:
-    """What has come in by `time_s` s, when the next exposure begins.
+    """Frames, samples and objects that arrived by `time_s` s, when the next exposure begins.
 
-    frames: by ascending number. samples: of the vehicle's sensors, none of a vehicle that stands. objects: that functions act on where no
-    detector finds them, in the ground frame; None where the plant tells nothing of them.
+    frames: by ascending number. samples: of the vehicle's sensors, empty for a standing vehicle. objects: reported objects in the ground
+    frame, for lighting functions without a detector; None without a report.
     """
 
     time_s: float
@@ -63,11 +62,11 @@ class Arrivals:
 
 
 class Plant(Protocol):
-    """Its state is a value; a plant of hardware holds the connection and returns what is known of it.
+    """A plant, with its state as a value. A hardware plant holds the connection and returns the known state.
 
-    Frames come in the order of their exposures. Its clock may begin at any time; a scenario's times count from the arrivals of `start`.
-    One that knows the truth has an attribute `truth`, a `luxloop.loop.simulation.world.World`, whose time counts from there as well. One
-    that holds something open has a method `close`, called at the end of a run.
+    Frames arrive in the order of their exposures. The plant's clock may begin at any time; a scenario's times count from the arrivals of
+    `start`. A plant that knows the truth has an attribute `truth`, a `luxloop.loop.simulation.world.World` with time from `start`. A plant
+    with open resources has a method `close`, called at the end of a run.
     """
 
     def start(self) -> tuple[Any, Arrivals]:
@@ -75,24 +74,24 @@ class Plant(Protocol):
         ...
 
     def show(self, state: Any, exposure: Exposure) -> tuple[Any, Arrivals]:
-        """Show an exposure; what has come in by its end."""
+        """Show an exposure; returns state and arrivals at its end."""
         ...
 
 
 def close_plant(plant: Plant) -> None:
-    """End what a plant holds open, if it does."""
+    """Close a plant that has a method `close`."""
     getattr(plant, "close", lambda: None)()
 
 
-Images = tuple[Tensor, Tensor]  # of an on and an off frame
+Images = tuple[Tensor, Tensor]  # on and off frame
 LOST = Frame(-1, math.nan, math.nan, None)
 
 
 @dataclass(frozen=True, eq=False)
 class ExposurePair:
-    """On and off exposure of a step, and their frames, lost until they come.
+    """On and off exposure of a step, with their frames, `LOST` until they arrive.
 
-    ego: the motion with which symbols were drawn. alone: whether nothing else was drawn or masked.
+    ego: estimated motion for which symbols were drawn. alone: whether one symbol was the only drawn or masked light.
     """
 
     on: Exposure
@@ -103,17 +102,17 @@ class ExposurePair:
 
     @property
     def images(self) -> Images | None:
-        """Of on and off frame; None where one is lost."""
+        """Images of on and off frame; None if either is lost."""
         on, off = (frame.image for frame in self.frames)
         return None if on is None or off is None else (on, off)
 
     @property
     def taken_s(self) -> float:
-        """When the on frame was taken; NaN where one is lost."""
+        """Time in s of the on frame; NaN if either frame is lost."""
         return math.nan if self.images is None else self.frames[0].taken_s
 
     def measures(self, name: str) -> bool:
-        """Whether a symbol is in the on exposure and not in the off exposure."""
+        """Whether a symbol is in the on exposure only."""
         return name in self.on.projections and name not in self.off.projections
 
     def seen_in(self, on: Frame, off: Frame) -> "ExposurePair":
@@ -132,10 +131,10 @@ class ExposurePair:
 def pair_frames(
     awaiting: Sequence[ExposurePair], frames: Sequence[Frame]
 ) -> tuple[list[ExposurePair], tuple[ExposurePair, ...], tuple[Frame, ...]]:
-    """Pairs whose frames have come or are lost, at least the oldest; pairs that await frames; frames of those so far.
+    """Completed pairs, at least the oldest; pairs awaiting frames; arrived frames of the awaiting pairs.
 
-    Frames come in the order of their exposures: all before the last pair that has come are lost. Where none has come, the oldest pair is
-    returned as lost, and goes on waiting.
+    Frames arrive in order, so frames missing before the last complete pair are lost. Without a complete pair, the oldest is returned
+    without frames and stays in the awaiting pairs.
     """
     came = {frame.number: frame for frame in frames}
     numbers = [(pair.on.number, pair.on.number + 1) for pair in awaiting]

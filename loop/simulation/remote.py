@@ -1,4 +1,4 @@
-"""Another simulator as a plant, in lockstep over a socket (docs/programs.md): it gets light, and gives frames, samples and objects."""
+"""An external simulator as a plant, in lockstep over a socket (docs/programs.md): light out; frames, samples and objects in."""
 
 import re
 import socket
@@ -28,28 +28,26 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import REST
 from luxloop.world.messages import ArrayBytes, Arrays, pack, raw
 
-GREET_S: Final = 10.0  # in which a program that has connected must say hello
-CLOSE_S: Final = 1.0  # in which it must answer the end of its connection
-LOOK_S: Final = 0.5  # between two looks at whether Python ends
-REFUSED: Final = 4400  # code by which a connection is closed whose program breaks the protocol
-BUSY: Final = 4409  # code by which it is closed where another simulator is the plant
-HERE: Final = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")  # pages that this machine serves
+GREET_S: Final = 10.0  # time limit for the hello of a connected program
+CLOSE_S: Final = 1.0  # time limit for its reply to the end of the connection
+LOOK_S: Final = 0.5  # interval of checks whether Python ends
+REFUSED: Final = 4400  # close code for a breach of the protocol
+BUSY: Final = 4409  # close code if another simulator is already the plant
+HERE: Final = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")  # origins of pages on this machine
 
 
 class Link:
-    """One simulator, for as long as both want. timeout_s: for which the loop waits for it to connect, and for each of its answers. size:
-    height and width of its frames.
+    """The connection to one simulator. timeout_s: time limit for its connection and for each answer. size: height and width of its
+    frames.
     """
 
     def __init__(self, address: str, timeout_s: float, size: tuple[int, int]) -> None:
         self.address, self._timeout_s, self._size = address, timeout_s, size
         self._opened, self._ending, self._over = ExitStack(), threading.Event(), threading.Event()
-        self._met: tuple[ServerConnection, str] | None = None  # with its name
+        self._met: tuple[ServerConnection, str] | None = None  # connection and name of the simulator
 
     def meet(self, welcome: Mapping[str, Any]) -> None:
-        """Wait for a simulator, and welcome it; the one that is there stays. Raises LuxloopError where none comes, or the address cannot
-        be had.
-        """
+        """Wait for a simulator and welcome it, unless one is connected. Raises LuxloopError if none connects or the address is not free."""
         if self._met is not None:
             return
         came, refused = SimpleQueue[tuple[ServerConnection, str]](), list[str]()
@@ -66,10 +64,10 @@ class Link:
         self._send({"type": "welcome", "protocol": PROTOCOL, **welcome})
 
     def ask(self, head: Mapping[str, Any], arrays: Mapping[str, ArrayBytes] | None = None) -> tuple[Answer, Arrays]:
-        """Send a message, and wait for the arrivals that answer it by the same `number`.
+        """Send a message and wait for its answer, arrivals of the same `number`.
 
-        Raises LuxloopError where the simulator goes away, does not answer in time, breaks the protocol, or says that it fails; the
-        connection is closed then.
+        Raises LuxloopError and closes the connection if the simulator disconnects, exceeds the time limit, breaks the protocol, or
+        reports an error.
         """
         self._send(head, arrays)
         assert self._met is not None
@@ -91,7 +89,7 @@ class Link:
         return message, frames
 
     def close(self, text: str = "") -> None:
-        """End the connection, and tell the simulator that the run is over, or what is wrong with it."""
+        """End the connection with a last message: the end of the run, or an error text."""
         self._ending.set()
         met, self._met = self._met, None
         if met is not None:
@@ -100,11 +98,11 @@ class Link:
         self._opened.close()
 
     def _listen(self, came: SimpleQueue[tuple[ServerConnection, str]], refused: list[str]) -> None:
-        """Put the first simulator that comes into a queue, and what is wrong with other programs into a list."""
+        """Accept connections: the first simulator goes to the queue came, refusals of other programs to the list refused."""
         host, _, port = self.address.rpartition(":")
         size, ending, over, taken = self._size, threading.Event(), threading.Event(), threading.Lock()
         seconds, rest = divmod(self._timeout_s, 1)
-        send_timeout = struct.pack("@ll", int(seconds), int(1e6 * rest))  # of the socket alone: one in Python would end the reading, too
+        send_timeout = struct.pack("@ll", int(seconds), int(1e6 * rest))  # for the socket only: a Python timeout would also limit reading
 
         def greet(connection: ServerConnection) -> None:
             try:
@@ -116,7 +114,7 @@ class Link:
                 refused.append(str(error) or "a program said nothing")
                 _dismiss(connection, {"type": "error", "text": refused[-1]}, REFUSED)
                 return
-            if ending.is_set():  # it comes again for the next run
+            if ending.is_set():  # the simulator reconnects for the next run
                 return
             if not taken.acquire(blocking=False):
                 _dismiss(connection, {"type": "error", "text": "another simulator is the plant of this run"}, BUSY)
@@ -133,7 +131,7 @@ class Link:
                 origins=[None, HERE],
                 compression=None,
                 open_timeout=GREET_S,
-                ping_interval=None,  # a simulator may be at work for longer
+                ping_interval=None,  # a simulator may compute for longer than a ping interval
                 close_timeout=CLOSE_S,
                 max_size=largest(size),
                 max_queue=2,
@@ -168,14 +166,14 @@ def _dismiss(connection: ServerConnection, head: Mapping[str, Any], code: int) -
 
 
 Window = tuple[int, int, int, int]  # first row, end row, first column, end column
-RemoteState = tuple[int, Objects | None]  # number of exposures that were shown since the start, and objects that were told
+RemoteState = tuple[int, Objects | None]  # number of exposures since the start, objects last reported
 
 
 @dataclass(frozen=True, eq=False)
 class RemotePlant:
-    """A simulator behind a link. It holds the world, so that an earlier state cannot be shown again.
+    """A simulator behind a link. The simulator holds the world, so the loop cannot return to an earlier state.
 
-    welcome: the first message to the simulator. like: a tensor with the dtype and device of frames and samples.
+    welcome: first message to the simulator. like: tensor with the dtype and device of frames and samples.
     """
 
     link: Link
@@ -185,13 +183,13 @@ class RemotePlant:
     like: Tensor
 
     def start(self) -> tuple[RemoteState, Arrivals]:
-        """What is known before the first exposure, once a simulator is there. Raises LuxloopError where none comes, or it fails."""
+        """Arrivals before the first exposure, once a simulator is connected. Raises LuxloopError if none connects or it fails."""
         self.link.meet(self.welcome)
         answer, frames = self.link.ask({"type": "start", "number": None})
         return self._came(0, None, answer, frames)
 
     def show(self, state: RemoteState, exposure: Exposure) -> tuple[RemoteState, Arrivals]:
-        """What has come by the end of an exposure. Raises LuxloopError where the simulator fails or goes away, and for an earlier state."""
+        """Arrivals by the end of an exposure. Raises LuxloopError if the simulator fails or disconnects, and for an earlier state."""
         shown, objects = state
         if exposure.number != shown:
             raise LuxloopError(
@@ -202,7 +200,7 @@ class RemotePlant:
         return self._came(shown + 1, objects, answer, frames)
 
     def parts(self, exposure: Exposure) -> tuple[dict[str, Any], dict[str, ArrayBytes]]:
-        """Head and arrays of the message that shows an exposure."""
+        """Head and arrays of the message for an exposure."""
         commands, windows, arrays = exposure.commands or (REST,) * len(self.modules), list[Window](), dict[str, ArrayBytes]()
         for k, (module, light, command) in enumerate(zip(self.modules, exposure.lights, commands, strict=True)):
             lamp = module.headlight
@@ -217,7 +215,7 @@ class RemotePlant:
         return {**head, "commands": [asdict(each) for each in commands], "windows": windows}, arrays
 
     def close(self) -> None:
-        """Tell the simulator that the run is over."""
+        """End the connection and the run."""
         self.link.close()
 
     def _came(self, shown: int, before: Objects | None, answer: Answer, frames: Arrays) -> tuple[RemoteState, Arrivals]:
@@ -236,7 +234,7 @@ class RemotePlant:
 
 
 def remote_plant(scenario: Scenario, params: RemotePlantParams, modules: Sequence[LampModule]) -> RemotePlant:
-    """The plant of a scenario; `start` opens the connection. When the plant is garbage-collected, it sends its simulator the end."""
+    """The remote plant of a scenario; `start` opens the connection, garbage collection ends it."""
     camera = scenario.camera
     link = Link(params.address, params.timeout_s, (camera.height_px, camera.width_px))
     plant = RemotePlant(link, _welcome(scenario, params, modules), tuple(modules), params.sends, modules[0].headlight.matrix.values)
@@ -245,7 +243,7 @@ def remote_plant(scenario: Scenario, params: RemotePlantParams, modules: Sequenc
 
 
 def lit(values: np.ndarray, first: int = 0) -> tuple[Window, np.ndarray]:
-    """The smallest window that has all of an array `[rows, columns]` that is not 0, and what it has. first: number of the first row."""
+    """Smallest window around the non-zero values of an array `[rows, columns]`, and its values. first: number of the first row."""
     rows, columns = np.flatnonzero(values.any(1)), np.flatnonzero(values.any(0))
     if not len(rows):
         return (0, 0, 0, 0), values[:0, :0]

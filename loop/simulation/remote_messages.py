@@ -1,4 +1,4 @@
-"""Messages of a simulator that is the plant (docs/programs.md), read within strict limits."""
+"""Messages from an external simulator as plant (docs/programs.md), validated within strict limits."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -17,23 +17,23 @@ from luxloop.world.params import Params
 from luxloop.world.traffic.tracked import Category
 
 PROTOCOL: Final = 1
-MOST_FRAMES: Final = 8  # in an answer
+MOST_FRAMES: Final = 8  # frames in an answer
 MOST_ITEMS: Final = 1000  # samples or objects in an answer
-MOST_VALUES: Final = 64  # of a sample
+MOST_VALUES: Final = 64  # values of a sample
 
-ROUNDING: Final = 1e-3  # of a rotation's numbers, as single precision or four digits leave it
+ROUNDING: Final = 1e-3  # tolerance of a rotation matrix in single precision or with four digits
 FARTHEST_M: Final = 10_000
 
 Number = Annotated[int, Field(ge=0, lt=2**53)]
 Text = Annotated[str, Field(max_length=4000)]
-Seconds = Annotated[float, Field(ge=-1e10, le=1e10)]  # by a clock that may count from 1970
+Seconds = Annotated[float, Field(ge=-1e10, le=1e10)]  # of a clock that may count from 1970
 Value = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]  # m, rad, and their rates
 Side = Annotated[float, Field(gt=0, le=1000)]  # m
 
 
 def _rigid(numbers: tuple[float, ...]) -> tuple[float, ...]:
     T = np.array(numbers).reshape(4, 4)
-    R = np.clip(T[:3, :3], -2, 2)  # which no product overflows
+    R = np.clip(T[:3, :3], -2, 2)  # so that products do not overflow
     if np.abs(R @ R.T - np.eye(3)).max() > ROUNDING or np.linalg.det(R) < 0 or (T[3] != (0, 0, 0, 1)).any():
         raise ValueError("is no pose; give a rotation and a translation in m, row by row, and 0, 0, 0, 1")
     if np.abs(T[:3, 3]).max() > FARTHEST_M:
@@ -45,7 +45,7 @@ Pose = Annotated[tuple[float, ...], Field(min_length=16, max_length=16), AfterVa
 
 
 class Hello(Params):
-    """The first message. name: what the simulator is called in messages."""
+    """The first message. name: of the simulator in error messages."""
 
     type: Literal["hello"]
     protocol: int
@@ -53,7 +53,7 @@ class Hello(Params):
 
 
 class FrameHead(Params):
-    """A frame, whose digital numbers are the array `frame.NUMBER` unless it is lost. number: of its exposure. Times by its clock."""
+    """A frame; unless lost, its digital numbers are the array `frame.NUMBER`. number: of its exposure. Times by the simulator's clock."""
 
     number: Number
     taken_s: Seconds = 0.0
@@ -62,7 +62,7 @@ class FrameHead(Params):
 
 
 class SampleHead(Params):
-    """A sample of a sensor of the vehicle, as `luxloop.perception.egomotion.Sample`."""
+    """A sample of a vehicle sensor, as `luxloop.perception.egomotion.Sample`."""
 
     sensor: Sensor
     measured_s: Seconds
@@ -71,8 +71,8 @@ class SampleHead(Params):
 
 
 class ObjectHead(Params):
-    """An object at the answer's time. T_ground_object: the pose of its box, whose origin is the centre of its foot, in the ground frame.
-    size_m: length, width, height.
+    """An object at the answer's time. T_ground_object: pose of its box in the ground frame, with the origin at the centre of the box's
+    base. size_m: length, width, height.
     """
 
     name: Annotated[str, Field(min_length=1, max_length=80)]
@@ -82,7 +82,7 @@ class ObjectHead(Params):
 
 
 class Answer(Params):
-    """The answer to `start`, number None, or to the exposure of a number. objects: all that are there, None where it tells nothing."""
+    """The answer to `start` (number None) or to the exposure with this number. objects: all present objects, None without a report."""
 
     type: Literal["arrivals"]
     number: Number | None
@@ -104,12 +104,12 @@ MESSAGE: Final[TypeAdapter[Message]] = TypeAdapter(Annotated[Message, Field(disc
 
 
 def largest(size: tuple[int, int]) -> int:
-    """Bytes of the largest message. size: height and width of a frame."""
+    """Size of the largest message in bytes. size: height and width of a frame."""
     return LENGTH.size + LARGEST_HEAD + MOST_FRAMES * 2 * size[0] * size[1]
 
 
 def read(data: bytes | str, size: tuple[int, int]) -> tuple[Message, Arrays]:
-    """A message, and the digital numbers of its frames by name, each of this height and width. Raises LuxloopError for anything else."""
+    """A message, and digital numbers `[height, width]` of its frames by name. Raises LuxloopError for an invalid message."""
     with understood():
         head, heads, body = unpack(data)
         message = MESSAGE.validate_python(head)
@@ -121,11 +121,11 @@ def read(data: bytes | str, size: tuple[int, int]) -> tuple[Message, Arrays]:
         return message, given_arrays(heads, body, wanted, 2 * size[0] * size[1])
 
 
-LINGER_S: Final = 5.0  # for which an object that is gone stays, while functions fade out
+LINGER_S: Final = 5.0  # time for which a vanished object stays, so that functions can fade out
 
 
 class ObjectRow(ObjectHead):
-    """An object in a recording; values that are not finite are None."""
+    """An object in a recording; None stands for values that are not finite."""
 
     since_s: float | None
     until_s: float | None
@@ -137,7 +137,7 @@ ROWS: Final = TypeAdapter(tuple[ObjectRow, ...])
 
 
 def track_objects(before: Iterable[TrackedObject], told: Iterable[TrackedObject], time_s: float) -> Objects:
-    """Objects reported at a time, and earlier ones that linger after their last report. One that is reported again is a new object."""
+    """Objects reported at a time, and earlier ones for LINGER_S after their last report. A vanished object reported again is a new one."""
     known = {each.name: each for each in before}
     there = [replace(each, since_s=_since(known.get(each.name), time_s)) for each in told]
     gone = [replace(known[name], until_s=min(known[name].until_s, time_s)) for name in known.keys() - {each.name for each in there}]
@@ -151,12 +151,12 @@ def object_of(head: ObjectHead) -> TrackedObject:
 
 
 def object_values(objects: Objects | None) -> str | None:
-    """Objects as a row of a recording holds them."""
+    """Objects as JSON for a row of a recording."""
     return None if objects is None else ROWS.dump_json(tuple(map(row_of, objects))).decode()
 
 
 def read_objects(text: str | None) -> Objects | None:
-    """The objects of a row. Raises ValueError for anything else."""
+    """The objects of a row. Raises ValueError for invalid JSON."""
     return None if text is None else tuple(map(_object, ROWS.validate_json(text)))
 
 
@@ -165,7 +165,7 @@ def _since(known: TrackedObject | None, time_s: float) -> float:
 
 
 def row_of(each: TrackedObject) -> ObjectRow:
-    """An object as a recording holds it. Raises ValidationError where it is none that can be there."""
+    """An object as a row of a recording. Raises ValidationError for an impossible object."""
     values = {name: value if math.isfinite(value := getattr(each, name)) else None for name in ("since_s", "until_s", "score")}
     pose = tuple(each.T_world_object.flatten().tolist())
     return ObjectRow(name=each.name, category=each.category, T_ground_object=pose, size_m=each.size_m, confidence=each.confidence, **values)
