@@ -1,4 +1,4 @@
-"""From a scenario to its simulation and its plant: first checked, then built part by part, in the order of their dependence."""
+"""Builds a simulation and its plant from a scenario: check, then build the parts in order of dependence."""
 
 from collections.abc import Sequence
 from typing import Any, cast
@@ -31,7 +31,7 @@ METHODS = ("start", "show")
 
 
 def build(scenario: Scenario, device: torch.device, cache: PartCache) -> dict[str, Any]:
-    """Fields of `Simulation`. Raises LuxloopError as `check`, and where a file is missing or broken, or a part of the user's own fails."""
+    """Fields of `Simulation`. Raises LuxloopError as `check`, for a missing or broken file, or if a user's part fails."""
     check_process()
     mounts = cache("mounted modules", mount, scenario.headlight, str(device))
     check(scenario, mounts)
@@ -56,7 +56,7 @@ def build(scenario: Scenario, device: torch.device, cache: PartCache) -> dict[st
 
 
 class Unconnected:
-    """A plant of hardware to which nothing is connected, so that its scenario can be checked and read; it cannot be started."""
+    """A hardware plant without a rig, for checking a scenario; it cannot be started."""
 
     def start(self) -> tuple[Any, Arrivals]:
         """Raises LuxloopError."""
@@ -68,7 +68,7 @@ class Unconnected:
 
 
 def build_plant(scenario: Scenario, modules: Sequence[LampModule], cache: PartCache) -> Plant:
-    """A plant whose time begins at 0. Raises LuxloopError where a file is missing or broken, or a plant of one's own cannot be made."""
+    """A scenario's plant, with time from 0. Raises LuxloopError for a missing or broken file, or a user's plant that cannot be made."""
     params = scenario.plant
     if isinstance(params, SimulatedPlantParams):
         return (simulated_plant if scenario.digitised_module is None else digitised_plant)(scenario, modules, cache)
@@ -87,5 +87,5 @@ def build_plant(scenario: Scenario, modules: Sequence[LampModule], cache: PartCa
 
 
 def from_zero(plant: Plant, scenario: Scenario, modules: Sequence[LampModule]) -> Plant:
-    """A plant whose clock may begin at any time, as one whose time begins at 0; what it gives is checked."""
+    """The plant with its clock shifted to 0 at the start, and its arrivals checked."""
     return FromZero(plant, f"{KEY}: {scenario.plant.kind}", scenario.camera, modules[0].headlight.matrix.values)

@@ -1,4 +1,4 @@
-"""From a scenario to its lamps: modules mounted and turned, their beams, raw utilisations and pixel controllers."""
+"""Builds the lamps of a scenario: mounted and turned modules, beams, raw utilisations and pixel controllers."""
 
 from collections.abc import Sequence
 from typing import Any, TypeVar, cast
@@ -31,9 +31,9 @@ PIXEL_METHODS = ("headlight", "default", "utilisation", "over")
 
 
 def mount(params: HeadlightParams, device: str = "cpu") -> tuple[MountedModule, ...]:
-    """The modules of a scenario's lamps that shine, all where it names none.
+    """The shining modules of a scenario's lamps, all by default.
 
-    Raises LuxloopError where there is no such lamp, module or movement, and where the modules of a lamp give no light.
+    Raises LuxloopError for an unknown lamp or module, an impossible movement, and modules without light.
     """
     return tuple(module for side in params.lamps for module in _of_side(side, params, torch.device(device)))
 
@@ -65,7 +65,7 @@ def T_world_lamp(side: str, params: HeadlightParams) -> Tensor:
 
 
 def turn_part(part: PartOfLamp, side: str, params: HeadlightParams) -> PartOfLamp:
-    """A lamp or module turned as a scenario says. Raises LuxloopError that names the lamp's side where it cannot be turned so far."""
+    """A lamp or module turned by the scenario's angles. Raises LuxloopError, with the lamp's side, beyond its range."""
     try:
         return part.turn(params.swivel_deg, params.level_deg)
     except LuxloopError as error:
@@ -74,8 +74,8 @@ def turn_part(part: PartOfLamp, side: str, params: HeadlightParams) -> PartOfLam
 
 
 def shining_module(scenario: Scenario, module: MountedModule, cache: PartCache) -> ShiningModule:
-    """A module with its pixel controller and beams. Raises LuxloopError where a file of raw utilisations is missing or broken, or a pixel
-    controller of the user's own cannot be made.
+    """A module with its pixel controller and beams. Raises LuxloopError for a missing or broken file of raw utilisations, or a user's
+    pixel controller that cannot be made.
     """
     light, name, lighting = module.headlight, module.name, scenario.lighting
     flux = cache(f"{name}: flux", pixel_flux, light)
@@ -87,7 +87,7 @@ def shining_module(scenario: Scenario, module: MountedModule, cache: PartCache) 
     names, of_lamp = lighting.base.names if raw is None else (), (module.lamp, module.number)
     beams: dict[str, Morphing] = {beam: cache(f"{name}: {beam} beam", morphing, *of_lamp, beam, light, flux) for beam in names}
     controller = cache(f"{name}: pixel controller", pixel_controller, light, scenario.pixel_controller, scenario.ssc, scenario.jpo)
-    if (lasting := beams.get(lighting.base.beam)) is not None:  # None of a beam by the situation
+    if (lasting := beams.get(lighting.base.beam)) is not None:  # None for a beam chosen by the situation
         controller = cache(
             f"{name}: pixel controller over its beam", lambda controller, beam: controller.over(beam), controller, lasting.beam
         )
@@ -99,7 +99,7 @@ def shining_module(scenario: Scenario, module: MountedModule, cache: PartCache) 
 
 
 def _raw(given: Sequence[RawParams], module: str, headlight: Headlight) -> RawUtilisation | None:
-    """The raw utilisations of a module. Raises LuxloopError that names the key and the file where they are not its own."""
+    """The raw utilisations of a module, None without any. Raises LuxloopError, with key and file, if they do not fit the module."""
     for i, raw in enumerate(given):
         if names_module(raw.modules, module):
             with locate(f"lighting.raw[{i}].file, for module {module!r} (its modules say which are meant)"):
@@ -109,10 +109,10 @@ def _raw(given: Sequence[RawParams], module: str, headlight: Headlight) -> RawUt
 
 
 def pixel_controller(headlight: Headlight, name: str, ssc: MrpcParams, jpo: JpoParams) -> PixelController:
-    """The pixel controller of a name, for one headlight, over a dark base pattern.
+    """The pixel controller of a name for one headlight, over a dark base pattern.
 
-    One of the user's own, "package.module:Name", is made by its `Name.prepare(headlight)`.
-    Raises LuxloopError where there is no such class, or it cannot be made.
+    A user's class, "package.module:Name", is made by `Name.prepare(headlight)`.
+    Raises LuxloopError for a missing class, or if it cannot be made.
     """
     if name == "ssc":
         return Ssc.prepare(headlight, ssc)
@@ -128,7 +128,7 @@ def pixel_controller(headlight: Headlight, name: str, ssc: MrpcParams, jpo: JpoP
 
 
 def drawing_modules(function: SymbolFunctionParams, modules: Sequence[MountedModule]) -> tuple[int, ...]:
-    """Indices of the modules that draw a symbol under control: those that it names, else the finest one of the first lamp."""
+    """Indices of the modules that draw a closed-loop symbol: the named modules, else the finest module of the first lamp."""
     if function.modules:
         return tuple(k for k, each in enumerate(modules) if names_module(function.modules, each.name))
     first = [k for k, each in enumerate(modules) if each.side == modules[0].side]

@@ -1,4 +1,4 @@
-"""From a scenario to its world: road, drive, scene."""
+"""Builds road, vehicle motion and scene of a scenario."""
 
 from dataclasses import replace
 from functools import partial
@@ -17,14 +17,14 @@ from luxloop.world.traffic.objects import ObjectParams
 
 
 def find_road(road: Road) -> Road:
-    """A road with its file found. Raises LuxloopError where that is not on this machine."""
+    """A road with the path of its file on this machine. Raises LuxloopError for a missing file."""
     return road.model_copy(update={"file": data.locate(road.file)}) if isinstance(road, OpenCrgRoad) else road
 
 
 def build_motion(scenario: Scenario, cache: PartCache) -> Motion:
-    """The drive, over half a period more than all steps; its body is as late as that of a digitised module.
+    """Vehicle motion, one step longer than the scenario, with the body delay of a digitised module.
 
-    Raises LuxloopError where a file is missing or broken.
+    Raises LuxloopError for a missing or broken file.
     """
     if (vehicle := scenario.vehicle) is None:
         return STANDING
@@ -35,7 +35,7 @@ def build_motion(scenario: Scenario, cache: PartCache) -> Motion:
 
 
 def build_scene(scenario: Scenario, motion: Motion = STANDING, cache: PartCache | None = None) -> Scene:
-    """Road, along the vehicle's course, and objects. Raises LuxloopError where a file is missing or broken."""
+    """Road along the vehicle's course, and objects. Raises LuxloopError for a missing or broken file."""
     cache, vehicle, road, albedo = cache or PartCache(), scenario.vehicle, find_road(scenario.road), scenario.surface.albedo
     texture = cache("texture", SpottedTexture, scenario.surface, scenario.spots)
     objects = tuple(cache(f"object {item.name}", _object, item, road) for item in scenario.all_objects)

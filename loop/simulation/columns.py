@@ -1,4 +1,4 @@
-"""What is recorded of a symbol that a controller holds: its columns, and its part of a recording."""
+"""Recorded columns of a closed-loop symbol, and their extraction from a recording."""
 
 from collections.abc import Sequence
 
@@ -16,7 +16,7 @@ CENTROIDS = tuple(f"{point}_{axis}" for point in ("c", "tl", "tr", "bl", "br") f
 
 
 def symbol_columns(degrees: Sequence[DegreeOfFreedom]) -> dict[str, tuple[str, str]]:
-    """Unit and description of the columns of a symbol that a controller holds; its light is seen camera.latency_steps later."""
+    """Unit and description of the columns of a closed-loop symbol. The camera sees the light camera.latency_steps later."""
     return {
         **{each.key: (each.suffix, each.shown) for each in degrees if each.unit == "m"},
         "z_m": ("m", "shown height of the primitive's centre above the assumed road"),
@@ -52,7 +52,7 @@ def symbol_columns(degrees: Sequence[DegreeOfFreedom]) -> dict[str, tuple[str, s
 
 SYMBOL = symbol_columns(DEGREES)
 
-# of all that lighting functions do: what there is only on a plant that knows the truth
+# columns of lighting functions that need the truth
 LOOKING_OF_TRUTH = ("false_positives", "eyes_lx_max", "eyes_lx_peak", "oncoming_lx_max", "road_lx_ratio_max")
 OF_TRUTH = {
     "dark_lx_max",
@@ -64,22 +64,22 @@ OF_TRUTH = {
 
 
 def of_truth(column: str) -> bool:
-    """Whether a column is missing or empty on a plant that does not know the truth."""
+    """Whether a column is missing or empty without the truth."""
     return column.startswith("objects.") or column.rpartition(".")[2] in OF_TRUTH
 
 
 def held_in(table: pa.Table) -> list[str]:
-    """Names of the symbols of a recording that controllers hold."""
+    """Names of the closed-loop symbols in a recording."""
     return [each.removeprefix("functions.").removesuffix(".iou") for each in table.column_names if each.endswith(".iou")]
 
 
 def of_one(table: pa.Table, name: str) -> pa.Table:
-    """Step, time and the columns of one symbol, by the names of SYMBOL, of the steps in which it is shown."""
+    """Step, time and the SYMBOL columns of one symbol, for the steps in which it is shown."""
     names = {"step": "step", "time_s": "time_s", **{key: f"functions.{name}.{key}" for key in SYMBOL}}
     found = pa.table({key: table[column] for key, column in names.items()})
     return found.filter(found["x_m"].is_valid())
 
 
 def loss_name(code: int) -> str:
-    """A loss code as recordings write it: "" where the symbol was seen, else the reason in lower case."""
+    """A status code in a recording: "" for a measured symbol, else the reason of the loss in lower case."""
     return "" if code == ExtractionStatus.SEEN else ExtractionStatus(code).name.lower()

@@ -1,4 +1,4 @@
-"""Modules that functions turn and dim: which they are, and functions that cannot."""
+"""Modules moved or dimmed by functions, and functions that move nothing."""
 
 from collections.abc import Sequence
 
@@ -16,7 +16,7 @@ from luxloop.loop.simulation.lamps import ShiningModule
 
 
 def unmoved(scenario: Scenario) -> list[str]:
-    """A sentence for each function that only follows the car's motion, where the simulated car stands; empty where there is none."""
+    """Notes on functions that only follow the car's motion, if the simulated car stands; else empty."""
     if scenario.vehicle is not None or not isinstance(scenario.plant, SimulatedPlantParams):
         return []
     return [
@@ -27,7 +27,7 @@ def unmoved(scenario: Scenario) -> list[str]:
 
 
 def moved(planner: Planner, modules: Sequence[ShiningModule]) -> list[tuple[str, Movement]]:
-    """What functions command: names of modules, and how they move, which a function of the user's own says of none."""
+    """Commanded modules and their movements. A user's function may command every movement of every module."""
 
     def of(function: object, module: ShiningModule, movement: Movement) -> bool:
         return not isinstance(function, CommandParams) or (movement in function.movements and function.moves(module))

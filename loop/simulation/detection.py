@@ -1,4 +1,4 @@
-"""How the car sees: frames go to a detector, what it finds to a tracker, and tracks become boxes on the road."""
+"""Detection pipeline: detector on frames, tracker on detections, and tracks as boxes on the road."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
@@ -18,13 +18,13 @@ from luxloop.perception.tracking import ObjectTracker, TrackedBoxes, TrackerPara
 from luxloop.world.frames import View
 from luxloop.world.traffic.tracked import Category
 
-LEAST_PX = 24.0  # height from which on a detector ought to find somebody
+LEAST_PX = 24.0  # smallest height of an object that a detector should find
 
 
 @dataclass(frozen=True)
 class Recognition:
-    """What is made of an object that is there. track: its number, None for none. confidence and score: of that track, 0 for none;
-    of what was found in this frame alone. findable: whether it is of a class that the detector has, and tall enough.
+    """Track and detection of a true object. track: number of its track, None without one. confidence: of the track, 0 without one. score:
+    of the detection in this frame, 0 without one. findable: whether the detector has its class and it is tall enough.
     """
 
     track: int | None
@@ -35,7 +35,7 @@ class Recognition:
 
 @dataclass(frozen=True, eq=False)
 class DetectionPipeline:
-    """A detector, None for the truth, and what tracks what it finds."""
+    """A detector, None for the truth, and a tracker of its detections."""
 
     detector: Detector | None
     params: AnyParams
@@ -45,13 +45,13 @@ class DetectionPipeline:
 
     @classmethod
     def prepare(cls, params: AnyParams, tracker: TrackerParams | OwnTracker, view: View, device: torch.device) -> "DetectionPipeline":
-        """Raises LuxloopError where the detector's file is missing or broken, or one of the user's own cannot be made."""
+        """Build detector and tracker. Raises LuxloopError for a missing or broken file, or a user's class that cannot be made."""
         finds = None if isinstance(params, TruthParams) else detector(params, device)
         classes = get_args(Category) if finds is None else finds.classes
         return cls(finds, params, build_tracker(tracker, classes, view), classes, view)
 
     def find(self, frame: Tensor, view: LitScene | None) -> Detections:
-        """frame: `[height, width]`, digital numbers as a share of the largest. Raises LuxloopError where one's own detector fails at it."""
+        """Detections in a frame. frame: `[height, width]`, digital numbers scaled to 0..1. Raises LuxloopError if a user's one fails."""
         if isinstance(self.params, TruthParams):
             assert view is not None
             return view.detections(self.params, self.classes)
@@ -59,7 +59,7 @@ class DetectionPipeline:
         return self.detector.detect(frame[None])[0]
 
     def objects(self, tracks: Any, time_s: float, view: View) -> tuple[TrackedObject, ...]:
-        """The tracks as objects for lighting functions, where they are expected at a time, placed on the ground that a view sees."""
+        """Tracks as objects for lighting functions, predicted to a time and placed on the ground. view: in the ground frame."""
         told = self.tracker.report(tracks, time_s)
         numbers = told.category.tolist()
         names = tuple(self.classes[number] for number in numbers)
@@ -79,19 +79,19 @@ class DetectionPipeline:
         )
 
     def present(self, tracks: Any, time_s: float) -> TrackedBoxes:
-        """Those that are not lost, with boxes that end at the borders of the image."""
+        """Tracks that are not lost, with boxes clipped to the image."""
         present = self.tracker.report(tracks, time_s).present
         size = torch.tensor([self.view.width, self.view.height] * 2).double()
         return replace(present, boxes=torch.minimum(present.boxes.clamp(min=0), size))
 
 
 def name_of(number: int) -> str:
-    """A track's name as an object."""
+    """Name of a track as an object."""
     return f"track_{number}"
 
 
 def recognise(view: LitScene, tracks: TrackedBoxes, found: Detections, classes: Collection[Category]) -> Mapping[str, Recognition]:
-    """What is made of each object in sight, by its name. classes: those of the detector."""
+    """Recognition of each visible object, by name. classes: of the detector."""
     boxes, scores = found.boxes.double().cpu(), found.scores.double().cpu()
     its_track = dict(pairs(view.boxes, tracks.boxes))
     its_box = dict(pairs(view.boxes, boxes))
@@ -108,13 +108,13 @@ def recognise(view: LitScene, tracks: TrackedBoxes, found: Detections, classes: 
 
 
 def false_positives(view: LitScene, found: Detections, least: float) -> int:
-    """Number of detections with at least that score that overlap no object."""
+    """Number of detections with at least the score least that overlap no object."""
     boxes = found.boxes[found.scores.amax(-1) >= least].double().cpu()
     return int((~(overlaps(boxes, view.boxes) >= SAME).any(-1)).sum())
 
 
 def pairs(objects: Tensor, boxes: Tensor) -> list[tuple[int, int]]:
-    """Indices of objects and of their boxes, each once, so that they overlap most in all."""
+    """Index pairs (object, box) of largest total overlap, each index once; pairs that overlap less than SAME are left out."""
     from scipy.optimize import linear_sum_assignment
 
     shares = overlaps(objects, boxes)

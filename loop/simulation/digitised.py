@@ -1,4 +1,4 @@
-"""The simulated world of which one module shines as a real lamp does; no lamp is connected here."""
+"""A simulated world with one module's light measured on a real lamp. No lamp is connected here."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -18,17 +18,17 @@ from luxloop.loop.simulation.world import World
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
 
-KEPT: Final = 8  # light textures, of which those of an on and an off exposure alternate
+KEPT: Final = 8  # light textures; on and off exposures alternate
 
 
 class MeasuredTextures:
-    """The light textures that a real lamp gave for the last utilisations; of others, which it has not shown, those of a headlight."""
+    """Measured light textures of a real lamp for its last utilisations; computed ones of a headlight for any other utilisation."""
 
     def __init__(self, headlight: Headlight) -> None:
         self._headlight, self._kept = headlight, deque[tuple[Tensor, Tensor]](maxlen=KEPT)
 
     def keep(self, utilisation: Tensor, texture: Tensor) -> None:
-        """utilisation: `[n_p]` that was shown. texture: `[rows, cols]` cd that came of it."""
+        """Store a measurement. utilisation: `[n_p]`, as shown. texture: `[rows, cols]` cd, as measured."""
         self._kept.append((utilisation, texture.to(utilisation)))
 
     def light_texture(self, utilisation: Tensor, band: slice | None = None) -> Tensor:
@@ -41,10 +41,9 @@ class MeasuredTextures:
 
 @dataclass(frozen=True, eq=False)
 class DigitisedPlant:
-    """A simulated world that waits for a lamp, which `luxloop run --rig` connects: it can be looked at, not started.
+    """A simulated world awaiting a lamp from `luxloop run --rig`. It can be inspected, but not started.
 
-    key: of the scenario that names the module. number: of the module. measured: its light textures. late: exposures by which its light is
-    late.
+    key: of the module in the scenario. number: index of the module. measured: its light textures. late: delay of its light in exposures.
     """
 
     night: SimulatedPlant
@@ -55,7 +54,7 @@ class DigitisedPlant:
 
     @property
     def truth(self) -> World:
-        """What is true."""
+        """The true world."""
         return self.night.world
 
     def start(self) -> tuple[Any, Arrivals]:
@@ -68,12 +67,12 @@ class DigitisedPlant:
 
 
 def needs_rig(key: str) -> str:
-    """That a scenario needs a rig, as its key says which names the module."""
+    """Error text: the scenario needs a rig. key: of the digitised module in the scenario."""
     return f"{key}: is digitised from a real lamp; run it with `luxloop run NAME --rig FILE`, or play a recording of it with --plant"
 
 
 def digitised_plant(scenario: Scenario, modules: Sequence[LampModule], cache: PartCache | None = None) -> DigitisedPlant:
-    """The world of a scenario with a digitised module. Raises LuxloopError where that is no single module, and as `simulated_plant`."""
+    """The plant of a scenario with a digitised module. Raises LuxloopError unless it is exactly one module, and as `simulated_plant`."""
     number = digitised_number(scenario, [each.name for each in modules])
     measured = MeasuredTextures(modules[number].headlight)
     shining = [replace(each, measured=measured) if k == number else each for k, each in enumerate(modules)]
@@ -82,7 +81,7 @@ def digitised_plant(scenario: Scenario, modules: Sequence[LampModule], cache: Pa
 
 
 def digitised_number(scenario: Scenario, names: Sequence[str]) -> int:
-    """Which of the modules that shine, by their names, is digitised. Raises LuxloopError where it is no single one."""
+    """Index of the digitised module among the names of shining modules. Raises LuxloopError unless it is exactly one."""
     name = scenario.digitised_module or ""
     found = [k for k, each in enumerate(names) if names_module([name], each)]
     if len(found) != 1:

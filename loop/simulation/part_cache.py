@@ -1,4 +1,4 @@
-"""Parts of a simulation, so that one that is built after an edit takes over those whose inputs are the same."""
+"""Cache of a simulation's parts: a simulation built after an edit reuses parts with unchanged inputs."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
@@ -9,26 +9,26 @@ Part = TypeVar("Part")
 
 
 class PartCache:
-    """Parts by name, each with its key: the arguments that it was made of. before: the cache of the simulation that was edited."""
+    """Parts by name, each with its key: the arguments that made it. before: cache of the simulation before the edit."""
 
     def __init__(self, before: "PartCache | None" = None) -> None:
         self._parts: dict[str, tuple[Any, Any]] = {}
         self._before: Mapping[str, tuple[Any, Any]] = {} if before is None else before._parts
 
     def __call__(self, name: str, make: Callable[..., Part], *key: Any) -> Part:
-        """The part `make(*key)`, that of before where its key is the same: parameters are equal, other values one object."""
+        """The part `make(*key)`, reused from before if its key is the same (see `same`)."""
         known = self._before.get(name)
         part: Part = known[1] if known is not None and same(known[0], key) else make(*key)
         self._parts[name] = key, part
         return part
 
     def before(self, name: str, default: Part) -> Part:
-        """The part of a name before the edit."""
+        """The part of a name before the edit, or default."""
         known = self._before.get(name)
         return default if known is None else known[1]
 
     def copy(self, *but: str) -> "PartCache":
-        """The same parts but some, of which others are then replaced."""
+        """A cache of the same parts except the named ones, for replacement."""
         after = PartCache(self)
         after._parts = {name: part for name, part in self._parts.items() if name not in but}
         return after
@@ -39,7 +39,7 @@ class PartCache:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Whether two keys are the same: equal parameters, or one object."""
+    """Whether two keys are the same: equal parameters and plain values, or the same object."""
     if a is b:
         return True
     if type(a) is not type(b):

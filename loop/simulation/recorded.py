@@ -1,4 +1,4 @@
-"""The frames of a recording as a plant: they show the light that was shown then, whatever is asked for."""
+"""A recording as a plant: it replays recorded frames, regardless of the commanded light."""
 
 import math
 import os
@@ -21,10 +21,10 @@ from luxloop.world.errors import LuxloopError, locate
 
 @dataclass(frozen=True, eq=False)
 class RecordedPlant:
-    """Plays frames; its state is the number of the next exposure. It does not know the truth.
+    """Replays frames without the truth. State: number of the next exposure.
 
-    rows: of the exposures, and one of the end. per_step: exposures a control step. pixels: of each module. like: in whose dtype and on
-    whose device frames are.
+    rows: of the exposures, with a last row for the end. per_step: exposures in a control step. pixels: number in each module. like:
+    tensor with the dtype and device of frames.
     """
 
     folder: Path
@@ -35,11 +35,11 @@ class RecordedPlant:
     like: Tensor
 
     def start(self) -> tuple[int, Arrivals]:
-        """What was known before the first exposure."""
+        """State and recorded arrivals before the first exposure."""
         return 0, self._arrivals(0)
 
     def show(self, state: int, exposure: Exposure) -> tuple[int, Arrivals]:
-        """What had come in by the end of the exposure that was shown then. Raises LuxloopError where a file is missing or damaged."""
+        """State and recorded arrivals after an exposure. Raises LuxloopError for a missing or damaged file, and after the last exposure."""
         if state + 1 >= len(self.rows):
             raise LuxloopError(f"{self.folder}: ends after {state // self.per_step} steps; lower steps")
         return state + 1, self._arrivals(state + 1, tuple(self._frame(row) for row in self.rows if row["came_with"] == state))
@@ -59,7 +59,7 @@ class RecordedPlant:
 
 
 def recorded_plant(scenario: Scenario, params: RecordedPlantParams, modules: Sequence[LampModule]) -> RecordedPlant:
-    """The recording that a scenario names. Raises LuxloopError where it has no frames of such exposures, or too few of them."""
+    """The recording named by a scenario. Raises LuxloopError for other symbols or exposure durations, or too few frames."""
     folder, per_step, rows = Path(params.folder), len(scenario.shares), recorded_rows(Path(params.folder))
     pixels, like = tuple(module.headlight.n_pixels for module in modules), modules[0].headlight.matrix.values
     if len(rows) > per_step:
@@ -83,7 +83,7 @@ def recorded_plant(scenario: Scenario, params: RecordedPlantParams, modules: Seq
 
 
 def recorded_rows(folder: Path) -> tuple[Row, ...]:
-    """The exposures of a recording, and a row of its end. Raises LuxloopError where it has none."""
+    """Rows of a recording's exposures, with a last row for the end. Raises LuxloopError if there are none."""
     table = inside(folder / TABLE, folder)
     if not os.path.isfile(table):
         lacks = "holds no frames" if os.path.isdir(folder) else "does not exist, or is no folder"
@@ -94,7 +94,7 @@ def recorded_rows(folder: Path) -> tuple[Row, ...]:
 
 
 def to_the_end(scenario: Scenario) -> Scenario:
-    """The scenario with no more steps than the recording that it plays has. Raises LuxloopError as `recorded_rows`."""
+    """The scenario, limited to the steps of its recording. Raises LuxloopError as `recorded_rows`."""
     if not isinstance(scenario.plant, RecordedPlantParams):
         return scenario
     with locate(scenario.source):
@@ -103,7 +103,7 @@ def to_the_end(scenario: Scenario) -> Scenario:
 
 
 def inside(file: Path, folder: Path) -> Path:
-    """The file of a recording. Raises LuxloopError where it is a link to somewhere else."""
+    """A recording's file. Raises LuxloopError for a link out of its place."""
     if file.resolve() != folder.resolve() / file.relative_to(folder):
         raise LuxloopError(f"{file}: is a link, but a recording holds its own files; copy what it links to in its place")
     return file

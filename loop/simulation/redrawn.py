@@ -1,4 +1,4 @@
-"""The light of a step if something else had been drawn: its symbols in open loop, or without what covers them or is painted."""
+"""Light of a step with other primitives: symbols in open loop, without covering functions, or without painted pictures."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,18 +10,18 @@ from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.frames import inverse
 
-TAKEN = 0.01  # of a symbol's light; less covers nothing
+TAKEN = 0.01  # smallest share of a symbol's light that counts as covered
 Pair = tuple[tuple[Utilisation, ...], tuple[Utilisation, ...]]
 
 
 def open_loop_lights(simulation: Simulation, result: StepResult, name: str) -> Pair:
-    """Lights of a step with one of its symbols that are held as the open loop draws it, and without that one."""
+    """Lights of a step with one closed-loop symbol in open loop, and without that symbol."""
     target = ProjectionCommand(simulation.controlled[name].projector.target)
     return _pair(simulation, result, name, _primitives(simulation, result, {name: target}))
 
 
 def lights_without_paint(simulation: Simulation, result: StepResult) -> tuple[Utilisation, ...]:
-    """Lights of a step without what is painted on pixels."""
+    """Lights of a step without painted pictures."""
     if not simulation.planner.painted:
         return tuple(map(Utilisation, result.lights))
     lighting = simulation.planner.lighting.model_copy(update={"painted": ()})
@@ -30,7 +30,7 @@ def lights_without_paint(simulation: Simulation, result: StepResult) -> tuple[Ut
 
 
 def covering(simulation: Simulation, result: StepResult, name: str) -> tuple[str, ...]:
-    """Names of the functions each of which, alone with it, takes light from a step's symbol that is held."""
+    """Names of the functions that, each alone with a closed-loop symbol, take light from the symbol in a step."""
     drawn = _primitives(simulation, result, {})
 
     def own(*others: str) -> float:
@@ -42,7 +42,7 @@ def covering(simulation: Simulation, result: StepResult, name: str) -> tuple[str
 
 
 def _primitives(simulation: Simulation, result: StepResult, others: dict[str, ProjectionCommand]) -> dict[str, Sequence[Primitives]]:
-    """Primitives of a step's functions, with some symbols as other projections."""
+    """Primitives of a step's functions, with other projections for some symbols."""
     T_ground_body = result.sense.view.T_world_view @ inverse(simulation.view.T_world_view)
     projections = {**result.planning.projections} | others
     commands = {name: simulation.controlled[name].command(each, T_ground_body) for name, each in projections.items()}

@@ -1,4 +1,4 @@
-"""How the light lies on the true road, which only a plant that knows the truth can say: symbols, and whether lights add up."""
+"""Metrics of light on the true road: symbols against their targets, and the sum of all lights against its setpoint."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,14 +22,14 @@ from luxloop.world.headlight import Headlight
 from luxloop.world.roads.base import Road
 from luxloop.world.scene.vehicle import STANDING
 
-LEAST_LX = 1.0  # on a surface that faces the lamps: of less nobody on the road sees anything
+LEAST_LX = 1.0  # on a surface facing the lamps; less is invisible to road users
 
 
 @dataclass(frozen=True, eq=False)
 class SymbolEvaluator:
-    """Compares light with the target, without noise.
+    """Compares noise-free light with a symbol's target.
 
-    world: what is true. road: whose places the target's are unless it is an appearance. plane: of the vehicle as it stands at first, see
+    world: the true world. road: surface of the target, unless the target is an appearance. plane: target plane at the start, see
     `plane_at`.
     """
 
@@ -41,22 +41,22 @@ class SymbolEvaluator:
 
     @classmethod
     def of(cls, world: World, symbol: SymbolParams, road: Road, flat_luminance: Tensor) -> "SymbolEvaluator":
-        """flat_luminance: `[height, width]` cd/m^2 of the symbol at its target on a flat road, as the true camera sees it."""
+        """flat_luminance: `[height, width]` cd/m^2 of the symbol at its target on a flat road in the true camera."""
         flat = _plane(symbol, world.view, None).to(world.device)
         goal = target(flat_luminance, flat, symbol.length_m, symbol.width_m)
         plane = flat if symbol.target == "appearance" else _plane(symbol, world.view, _places(symbol, road, world, 0.0)).to(world.device)
         return cls(world, symbol, road, plane, goal)
 
     def metrics(self, lights: tuple[Utilisation, ...], time_s: float) -> Metrics:
-        """lights: utilisations, one a module, of the on exposure."""
+        """Metrics of an on exposure at a time. lights: utilisations, one a module."""
         return self.evaluate(self.world.lit(time_s).luminance(lights), time_s)
 
     def evaluate(self, luminance: Tensor, time_s: float) -> Metrics:
-        """luminance: `[height, width]` cd/m^2 that the symbol adds."""
+        """Metrics at a time. luminance: `[height, width]` cd/m^2 of the symbol alone."""
         return evaluate(luminance, self.plane_at(time_s), self.goal)
 
     def road_m(self, times_s: Sequence[float]) -> float:
-        """Height of the road over the plane of the ground, along the middle of the target, where and when it is farthest from it."""
+        """Height in m of the road above the ground plane, of largest magnitude over the times and the target's middle line."""
         x_m, half_m = self.symbol.x_m, self.symbol.length_m / 2
         along = torch.tensor([[x_m - half_m, x_m, x_m + half_m], [self.symbol.y_m] * 3, [0.0] * 3], dtype=torch.float64)
         heights = torch.cat(
@@ -65,7 +65,7 @@ class SymbolEvaluator:
         return float(heights[heights.abs().argmax()])
 
     def plane_at(self, time_s: float) -> BirdsEye:
-        """Where the target lies, as the camera sees it at a time: the plane of the ground, or the road itself."""
+        """Bird's-eye view of the target at a time: on the ground plane for an appearance, else on the road."""
         view, motion, appears = self.world.view_from_ground(time_s), self.world.motion, self.symbol.target == "appearance"
         if motion is STANDING or (appears and view.T_world_view.equal(self.world.view.T_world_view)):
             return self.plane
@@ -82,13 +82,13 @@ def _region(symbol: SymbolParams) -> Region:
 
 
 def _places(symbol: SymbolParams, road: Road, world: World, time_s: float) -> Tensor:
-    """Places `[3, rows, cols]` m of the road in the ground frame of a time."""
+    """Points `[3, rows, cols]` m of the road in the ground frame at a time."""
     flat = cells(_region(symbol))
     return torch.cat([flat[:2], _heights(flat.flatten(1), road, world, time_s).view_as(flat[2:])])
 
 
 def _heights(flat: Tensor, road: Road, world: World, time_s: float) -> Tensor:
-    """Of the road in m `[1, N]`, over places `[3, N]` on the plane of the ground at a time."""
+    """Heights `[1, N]` m of the road above points `[3, N]` m on the ground plane at a time."""
     T_world_ground = world.motion.at(time_s).T_world_ground
     x, y, _ = transform(T_world_ground, flat)
     there = torch.stack([x, y, torch.from_numpy(road.z(x.numpy(), y.numpy()))])
@@ -96,11 +96,11 @@ def _heights(flat: Tensor, road: Road, world: World, time_s: float) -> Tensor:
 
 
 def over_setpoint(modules: Sequence[ShiningModule], plan: Plan, lights: Sequence[Utilisation], seen: LitScene) -> float | None:
-    """Most light on a point of the road that the camera sees, as a multiple of the largest setpoint there; None where there is none.
+    """Largest ratio of illuminance to setpoint on the visible road; None without a lit road point or without functions.
 
-    modules: as aimed, in the ground frame. Both are illuminances of surfaces that face the lamps, so that the slope of a stone does not
-    count. The setpoint is the largest of the base beam and of the functions' within the light of a pixel (`_spread`), as no lamp can
-    separate what is nearer. What functions share is set for all modules together; shares of pixels add up.
+    modules: as aimed, in the ground frame. Both illuminances are of surfaces facing the lamps, so that the slope of a stone does not
+    count. The setpoint is the largest of base beam and functions within the light of one pixel (`_spread`), the resolution of the lamp.
+    Setpoints in cd or lx apply to all modules together; relative setpoints of modules add up.
     """
     road = seen.surfaces.position[:, seen.surfaces.object_id == 0]
     points = transform(inverse(seen.vehicle.T_world_ground), road.double()).float()
@@ -133,9 +133,9 @@ def over_setpoint(modules: Sequence[ShiningModule], plan: Plan, lights: Sequence
 
 
 def _spread(texture: Tensor, lamp: Headlight) -> Tensor:
-    """The largest value `[rows, cols]` of the setpoints of all pixels whose light reaches a texel.
+    """Largest setpoint `[rows, cols]` of all pixels whose light reaches a texel.
 
-    A pixel averages setpoints over its light, so that what is asked at its one edge shines at the other.
+    A pixel averages setpoints over its light, so a setpoint at one edge of the pixel also lights the other edge.
     """
     up, aside = lamp.pixel_extent
     return max_pool2d(max_pool2d(texture[None], (2 * up + 1, 1), 1, (up, 0)), (1, 2 * aside + 1), 1, (0, aside))[0]

@@ -24,16 +24,16 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.rendering.surfaces import FirstFound, face_source
 from luxloop.world.scene.vehicle import STANDING, LateBody, Motion
 
-LOSS_KEY, LATENCY_KEY = 2, 4  # of what is drawn for a step, beside its frames' noise and the sensors'
+LOSS_KEY, LATENCY_KEY = 2, 4  # random streams of a step, separate from the noise of frames and sensors
 
-UnderWay = tuple[tuple[int, Frame], ...]  # frames, each after the number of the exposure at whose end it arrives
+UnderWay = tuple[tuple[int, Frame], ...]  # (number of the exposure at whose end the frame arrives, frame)
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedPlant:
-    """Exposes frames of a world; its state is the queue of frames under way from the camera.
+    """Exposes frames of a world. State: queue of frames in transit from the camera.
 
-    shares: of a control step, one an exposure.
+    shares: durations of the exposures as shares of a control step.
     """
 
     world: World
@@ -49,21 +49,21 @@ class SimulatedPlant:
 
     @property
     def truth(self) -> World:
-        """What is true."""
+        """The true world."""
         return self.world
 
     @property
     def dynamics(self) -> Motion:
-        """How the vehicle moves, whose sensors feel that, also where its body is shown late."""
+        """Motion measured by the vehicle's sensors, without the delay of a late body."""
         motion = self.world.motion
         return motion.dynamics if isinstance(motion, LateBody) else motion
 
     def start(self) -> tuple[UnderWay, Arrivals]:
-        """Nothing is under way."""
+        """An empty queue, and arrivals at 0 s."""
         return (), Arrivals(0.0, samples=self.samples(0.0))
 
     def show(self, state: UnderWay, exposure: Exposure) -> tuple[UnderWay, Arrivals]:
-        """Expose a frame; it arrives as late as the camera's frames do, and never before an earlier one."""
+        """Expose a frame, which arrives after the camera's latency and in order."""
         per_step = len(self.shares)
         step, part = divmod(exposure.number, per_step)
         begins_s, ends_s = (self._at(number) for number in (exposure.number, exposure.number + 1))
@@ -74,14 +74,14 @@ class SimulatedPlant:
         return queue[len(come) :], Arrivals(ends_s, come, self.samples(ends_s, begins_s))
 
     def samples(self, by_s: float, after_s: float | None = None) -> tuple[Sample, ...]:
-        """What the sensors of a vehicle that moves have told by one time and after another; left out: the newest of each."""
+        """Sensor samples of a moving vehicle that arrive after after_s, by by_s. after_s None: the newest of each sensor."""
         if self.world.motion is STANDING:
             return ()
         sensors, like = Sensors(self.dynamics, self.sensors, self.period_s, self.seed), torch.empty(0, device=self.world.device)
         return sensors.newest(by_s, like) if after_s is None else sensors.arriving(after_s, by_s, like)
 
     def _frame(self, exposure: Exposure, step: int, frame: int) -> Tensor:
-        """Digital numbers `[height, width]`, computed where they are read; at once of measured light, which is not kept for long."""
+        """Digital numbers `[height, width]`, computed on access; immediately for measured light, which is stored only briefly."""
         shown = exposure.start_s, exposure.lights, exposure.commands
 
         def part_of(part: Part) -> Tensor:
@@ -91,9 +91,9 @@ class SimulatedPlant:
         return image if all(module.measured is None for module in self.world.modules) else image[:, :]
 
     def exposed(self, luminance: Tensor, base: Tensor, step: int, frame: int, part: Part | None = None) -> Tensor:
-        """Digital numbers of a step's on frame (0) or off frame (1) of luminance `[..., height, width]` in cd/m^2, with what disturbs it.
+        """Digital numbers of frame 0, 1, ... of a step, with disturbances. luminance: `[..., height, width]` cd/m^2.
 
-        base: `[height, width]` cd/m^2, the share of the luminance that is there without the lamps. part: of the image, if it is not whole.
+        base: `[height, width]` cd/m^2, luminance without the lamps. part: rows and columns of the image, None for all.
         """
         view, camera, device = self.world.view, self.world.camera, self.world.device
         part = part or (slice(0, view.height), slice(0, view.width))
@@ -107,12 +107,12 @@ class SimulatedPlant:
         return expose(luminance, camera, noise if noise is None or noisy == 1 else noisy * noise)
 
     def _at(self, number: int) -> float:
-        """When an exposure begins, in s."""
+        """Start time of an exposure in s."""
         step, part = divmod(number, len(self.shares))
         return (step + sum(self.shares[:part])) * self.period_s
 
     def loses(self, step: int) -> bool:
-        """Whether the frames of a step never arrive."""
+        """Whether the frames of a step are lost."""
         p = self.disturbances.loss_probability(step, self.world.camera.drop_probability)
         return p > 0 and bool(self._draw(step, LOSS_KEY).random() < p)
 
@@ -126,8 +126,8 @@ class SimulatedPlant:
 
 
 def simulated_plant(scenario: Scenario, modules: Sequence[LampModule], cache: PartCache | None = None) -> SimulatedPlant:
-    """The world of a scenario, lit by these modules. cache: parts that serve again, None for none. Raises LuxloopError where a file is
-    missing or broken.
+    """The simulated plant of a scenario, lit by these modules. cache: reusable parts, None for none. Raises LuxloopError for a missing or
+    broken file.
     """
     cache, errors = cache or PartCache(), scenario.disturbances
     motion = build_motion(scenario, cache)
@@ -139,7 +139,7 @@ def simulated_plant(scenario: Scenario, modules: Sequence[LampModule], cache: Pa
 
 
 def driven_plant(plant: SimulatedPlant, scenario: Scenario, cache: PartCache) -> SimulatedPlant:
-    """The same plant whose vehicle goes on along the scenario's course. cache: its parts, of which motion and world are replaced."""
+    """The plant with the vehicle motion of a scenario. cache: parts of the plant; motion and world are replaced."""
     old = plant.world
     motion = build_motion(scenario, cache)
     return replace(plant, world=_world(cache, old.scene, old.modules, old.camera, old.source, motion, old.metered, old.given))
@@ -150,7 +150,7 @@ def _world(cache: PartCache, *parts: Any) -> World:
 
 
 def world_plant(plant: Plant, asked: str) -> SimulatedPlant:
-    """A plant that must be the simulated world. Raises LuxloopError, which begins with what asks for that, where it is another."""
+    """The plant, if it is the simulated world. Raises LuxloopError otherwise. asked: what needs that world, begins the message."""
     if not isinstance(plant, SimulatedPlant):
         raise LuxloopError(f'{asked}: needs the simulated world; set plant.kind = "simulated", and digitise no module')
     return plant

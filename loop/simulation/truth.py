@@ -1,4 +1,4 @@
-"""What a disturbed scenario's camera and lamps truly are. The controller keeps to what their own tables say."""
+"""True camera and lamps of a disturbed scenario. The controller uses the undisturbed ones."""
 
 import math
 from collections.abc import Iterable
@@ -20,9 +20,9 @@ from luxloop.world.light.illumination import LastTextures, TextureSource
 
 @dataclass(frozen=True, eq=False)
 class LampModule:
-    """A module as it shines. T_body_headlight: `[4, 4]`, where the vehicle stands at its start.
+    """A shining module. T_body_headlight: `[4, 4]`, pose at rest on the body.
 
-    measured: where its light textures come from if not from the headlight's matrix.
+    measured: source of measured light textures, None for the headlight's matrix.
     """
 
     name: str
@@ -32,12 +32,12 @@ class LampModule:
 
     @cached_property
     def textures(self) -> TextureSource:
-        """Where its light textures come from."""
+        """Source of its light textures."""
         return self.measured or LastTextures(self.headlight)
 
 
 def true_camera(scenario: Scenario) -> CameraParams:
-    """The camera with its error of calibration."""
+    """The camera with its calibration error."""
     camera, error = scenario.camera, scenario.disturbances.calibration
     half = math.tan(math.radians(camera.hfov_deg) / 2) / (1 + error.focal_percent / 100)
     moved = {name: getattr(camera, name) + value for name, value in error if name != "focal_percent" and value}
@@ -47,9 +47,9 @@ def true_camera(scenario: Scenario) -> CameraParams:
 
 
 def true_modules(modules: Iterable[LampModule], aim: Iterable[AimParams], wear: WearParams) -> tuple[LampModule, ...]:
-    """Modules with dead and aged pixels, and with errors of aim.
+    """Modules with dead and aged pixels and aiming errors.
 
-    Raises LuxloopError where a module lacks a pixel that is named, and where its aim puts it under the road.
+    Raises LuxloopError for an unknown pixel, or an aim that puts a module below the road.
     """
     true = []
     for number, module in enumerate(modules):
@@ -60,7 +60,7 @@ def true_modules(modules: Iterable[LampModule], aim: Iterable[AimParams], wear: 
 
 
 def misaim(T_body_headlight: Tensor, errors: Iterable[AimParams]) -> Tensor:
-    """A pose `[4, 4]` moved and turned by errors, about its own origin and the vehicle's axes."""
+    """A pose `[4, 4]` translated and rotated by aiming errors, about its own origin and the vehicle's axes. Raises LuxloopError below the road."""
     T = T_body_headlight.clone()
     for aim in errors:
         if aim.z_m and T[2, 3] > 0 >= T[2, 3] + aim.z_m:
@@ -72,7 +72,7 @@ def misaim(T_body_headlight: Tensor, errors: Iterable[AimParams]) -> Tensor:
 
 
 def wear_out(headlight: Headlight, name: str, wear: WearParams, number: int) -> Headlight:
-    """A module's headlight with dead and aged pixels. Raises LuxloopError where it lacks a pixel that is named."""
+    """A module's headlight with dead and aged pixels. Raises LuxloopError for an unknown pixel."""
     n = headlight.n_pixels
     if wrong := [pixel for pixel in wear.dead_pixels if not 0 <= pixel < n]:
         raise LuxloopError(f"disturbances.wear.dead_pixels: {name} has no pixel {wrong[0]}; give numbers from 0 to {n - 1}")
