@@ -28,7 +28,7 @@ Modules = Sequence[MountedModule]
 def check(scenario: Scenario, modules: Modules) -> None:
     """Raises LuxloopError for the first error of a scenario, before anything is built.
 
-    modules: the shining modules. Errors in a file's content, a user's class or the rendered light are raised by their readers.
+    modules: the shining modules. Errors in a file's content, a user's class or the rendered light are raised later, where each is read.
     """
     for sentence in chain.from_iterable(topic(scenario, modules) for topic in (_lighting, _functions, _plant, _symbols, _movements)):
         raise LuxloopError(sentence)

@@ -32,7 +32,7 @@ SAME = 1e-4  # difference of utilisations within rounding
 class SymbolState:
     """State of a symbol. controller: controller state. turn: step of the last measurement.
 
-    shape: `[4]` of the measured road, None for a flat road.
+    shape: road shape `[4]` at the last measurement, None for a flat road.
     """
 
     controller: Any

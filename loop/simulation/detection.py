@@ -51,7 +51,7 @@ class DetectionPipeline:
         return cls(finds, params, build_tracker(tracker, classes, view), classes, view)
 
     def find(self, frame: Tensor, view: LitScene | None) -> Detections:
-        """Detections in a frame. frame: `[height, width]`, digital numbers scaled to 0..1. Raises LuxloopError if a user's one fails."""
+        """Detections in a frame `[height, width]` of digital numbers scaled to 0..1. Raises LuxloopError if a user's detector fails."""
         if isinstance(self.params, TruthParams):
             assert view is not None
             return view.detections(self.params, self.classes)

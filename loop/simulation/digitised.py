@@ -18,7 +18,7 @@ from luxloop.loop.simulation.world import World
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
 
-KEPT: Final = 8  # light textures; on and off exposures alternate
+KEPT: Final = 8  # number of stored light textures; on and off exposures alternate
 
 
 class MeasuredTextures:
@@ -72,7 +72,7 @@ def needs_rig(key: str) -> str:
 
 
 def digitised_plant(scenario: Scenario, modules: Sequence[LampModule], cache: PartCache | None = None) -> DigitisedPlant:
-    """The plant of a scenario with a digitised module. Raises LuxloopError unless it is exactly one module, and as `simulated_plant`."""
+    """The plant of a scenario with a digitised module. Raises LuxloopError as `digitised_number` and `simulated_plant`."""
     number = digitised_number(scenario, [each.name for each in modules])
     measured = MeasuredTextures(modules[number].headlight)
     shining = [replace(each, measured=measured) if k == number else each for k, each in enumerate(modules)]
@@ -81,7 +81,7 @@ def digitised_plant(scenario: Scenario, modules: Sequence[LampModule], cache: Pa
 
 
 def digitised_number(scenario: Scenario, names: Sequence[str]) -> int:
-    """Index of the digitised module among the names of shining modules. Raises LuxloopError unless it is exactly one."""
+    """Index of the digitised module among the names of shining modules. Raises LuxloopError unless exactly one has its name."""
     name = scenario.digitised_module or ""
     found = [k for k, each in enumerate(names) if names_module([name], each)]
     if len(found) != 1:

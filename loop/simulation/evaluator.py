@@ -75,7 +75,7 @@ class FrameDetections:
 
     recognised: by name of each visible object. false_positives: detections scored high enough for a new track that overlap no object,
     None without the truth. eyes_lx_max, eyes_lx_peak: largest illuminance from the lamps on visible heads and windscreens of road users,
-    time mean and peak, None if none is visible. oncoming_lx_max: time mean on oncoming, near road users.
+    time mean and peak, None if none is visible. oncoming_lx_max: time mean on oncoming ones due for dimming.
     """
 
     found: Detections
@@ -95,7 +95,7 @@ class Evaluation(StepResult):
     `[height, width]` cd/m^2 of all light. Both are in the camera's view, computed on access, None without the truth. objects: recorded
     objects by name. detections: None without a detector. symbols: symbols for an observer, in the observer's view. held: closed-loop
     symbols by name. zones, materials: by name. road_lx_ratio_max: see `over_setpoint`, None in a step without evaluation. oncoming_s:
-    times since which oncoming road users have been near.
+    start times, by name, of near oncoming road users.
     """
 
     masked: frozenset[str]
@@ -188,7 +188,7 @@ class Evaluator:
         )
 
     def _oncoming(self, now: Situation, before: Evaluation | None) -> Mapping[str, float]:
-        """Times since which oncoming road users have been near, by name; empty without a detector or metered light."""
+        """Start times of near oncoming road users, by name; empty without a detector or metered light."""
         if self.pipeline is None or self._meter is None:
             return {}
         return near_enough(self._meter.lit(now.time_s), {} if before is None else before.oncoming_s, now.time_s)

@@ -69,7 +69,7 @@ def twin_file(directory: Path, number: int) -> Path:
 
 
 def light_file(directory: Path, number: int) -> Path:
-    """Path of a light."""
+    """Path of a light's archive."""
     return directory / FOLDER / f"light_{number:08d}.npz"
 
 

@@ -61,7 +61,7 @@ def on_objects(
 
 
 def near_enough(seen: LitScene, since_s: Mapping[str, float], now_s: float) -> Mapping[str, float]:
-    """Times since which oncoming drivers and riders have been LEAST_PX tall and half visible, by name. since_s: from the previous step."""
+    """Start times, by name, of oncoming drivers and riders at least LEAST_PX tall and half visible. since_s: from the previous step."""
     heading = {placed.body.name: placed.T_world_body[:3, 0].double() for placed in seen.triangles.placed if placed.object_id > 0}
     ahead = seen.view.T_world_view[:3, 2].double()
     near = (

@@ -28,7 +28,7 @@ class PartCache:
         return default if known is None else known[1]
 
     def copy(self, *but: str) -> "PartCache":
-        """A cache of the same parts except the named ones, for replacement."""
+        """A cache of the same parts except the named ones."""
         after = PartCache(self)
         after._parts = {name: part for name, part in self._parts.items() if name not in but}
         return after

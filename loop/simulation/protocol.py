@@ -91,7 +91,7 @@ LOST = Frame(-1, math.nan, math.nan, None)
 class ExposurePair:
     """On and off exposure of a step, with their frames, `LOST` until they arrive.
 
-    ego: estimated motion for which symbols were drawn. alone: whether one symbol was the only drawn or masked light.
+    ego: estimated motion for which symbols were drawn. alone: whether a symbol was the only lighting function.
     """
 
     on: Exposure
@@ -116,7 +116,7 @@ class ExposurePair:
         return name in self.on.projections and name not in self.off.projections
 
     def seen_in(self, on: Frame, off: Frame) -> "ExposurePair":
-        """The pair with its frames: exposures as commanded, replaced by what the plant reports."""
+        """The pair with its frames, and commanded exposures replaced by those that the plant reports."""
         whole = on.shown is not None and off.shown is not None and bool(on.shown.projections)
 
         def exposure(commanded: Exposure, shown: Exposure | None) -> Exposure:

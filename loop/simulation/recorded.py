@@ -59,7 +59,9 @@ class RecordedPlant:
 
 
 def recorded_plant(scenario: Scenario, params: RecordedPlantParams, modules: Sequence[LampModule]) -> RecordedPlant:
-    """The recording named by a scenario. Raises LuxloopError for other symbols or exposure durations, or too few frames."""
+    """The recording named by a scenario. Raises LuxloopError if frames are missing or too few, or symbols or exposure
+    durations differ.
+    """
     folder, per_step, rows = Path(params.folder), len(scenario.shares), recorded_rows(Path(params.folder))
     pixels, like = tuple(module.headlight.n_pixels for module in modules), modules[0].headlight.matrix.values
     if len(rows) > per_step:
@@ -103,7 +105,7 @@ def to_the_end(scenario: Scenario) -> Scenario:
 
 
 def inside(file: Path, folder: Path) -> Path:
-    """A recording's file. Raises LuxloopError for a link out of its place."""
+    """A recording's file. Raises LuxloopError for a link to another file."""
     if file.resolve() != folder.resolve() / file.relative_to(folder):
         raise LuxloopError(f"{file}: is a link, but a recording holds its own files; copy what it links to in its place")
     return file

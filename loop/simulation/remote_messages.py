@@ -165,7 +165,7 @@ def _since(known: TrackedObject | None, time_s: float) -> float:
 
 
 def row_of(each: TrackedObject) -> ObjectRow:
-    """An object as a row of a recording. Raises ValidationError for an impossible object."""
+    """An object as a row of a recording. Raises ValidationError for an invalid object."""
     values = {name: value if math.isfinite(value := getattr(each, name)) else None for name in ("since_s", "until_s", "score")}
     pose = tuple(each.T_world_object.flatten().tolist())
     return ObjectRow(name=each.name, category=each.category, T_ground_object=pose, size_m=each.size_m, confidence=each.confidence, **values)

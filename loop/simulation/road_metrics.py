@@ -56,7 +56,7 @@ class SymbolEvaluator:
         return evaluate(luminance, self.plane_at(time_s), self.goal)
 
     def road_m(self, times_s: Sequence[float]) -> float:
-        """Height in m of the road above the ground plane, of largest magnitude over the times and the target's middle line."""
+        """Height in m of the road above the ground plane on the target's middle line, of largest magnitude over the times."""
         x_m, half_m = self.symbol.x_m, self.symbol.length_m / 2
         along = torch.tensor([[x_m - half_m, x_m, x_m + half_m], [self.symbol.y_m] * 3, [0.0] * 3], dtype=torch.float64)
         heights = torch.cat(
@@ -98,7 +98,7 @@ def _heights(flat: Tensor, road: Road, world: World, time_s: float) -> Tensor:
 def over_setpoint(modules: Sequence[ShiningModule], plan: Plan, lights: Sequence[Utilisation], seen: LitScene) -> float | None:
     """Largest ratio of illuminance to setpoint on the visible road; None without a lit road point or without functions.
 
-    modules: as aimed, in the ground frame. Both illuminances are of surfaces facing the lamps, so that the slope of a stone does not
+    modules: as aimed, in the ground frame. Light and setpoint are illuminances of surfaces facing the lamps, so a stone's slope does not
     count. The setpoint is the largest of base beam and functions within the light of one pixel (`_spread`), the resolution of the lamp.
     Setpoints in cd or lx apply to all modules together; relative setpoints of modules add up.
     """

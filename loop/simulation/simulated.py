@@ -150,7 +150,7 @@ def _world(cache: PartCache, *parts: Any) -> World:
 
 
 def world_plant(plant: Plant, asked: str) -> SimulatedPlant:
-    """The plant, if it is the simulated world. Raises LuxloopError otherwise. asked: what needs that world, begins the message."""
+    """The plant, if it is the simulated world. Raises LuxloopError otherwise. asked: what needs this world, the start of the message."""
     if not isinstance(plant, SimulatedPlant):
         raise LuxloopError(f'{asked}: needs the simulated world; set plant.kind = "simulated", and digitise no module')
     return plant

@@ -112,7 +112,7 @@ class Simulation:
         return self.lamps.drive(self.planner.compose(result.now, result.planning.functions, drawn), result.now)[0]
 
     def of_all(self, symbol: ControlledSymbol, light: Sequence[Utilisation]) -> Lights:
-        """Differences to the base beams for all modules. light: utilisations of the symbol's modules."""
+        """Utilisations of all modules, minus their base beams. light: utilisations of the symbol's modules."""
         drawn = dict(zip(symbol.drawn_by, zip(light, symbol.projector.resting, strict=True), strict=True))
         added = {k: Utilisation(each.u - beam.u, each.band) for k, (each, beam) in drawn.items()}
         return tuple(added.get(k, Utilisation(0 * module.flux, slice(0, 0))) for k, module in enumerate(self.modules))
@@ -158,7 +158,7 @@ class Simulation:
         return self.evaluator.recorded_ids
 
     def situation(self, time_s: float, tracks: Any = None, ego: Ego | None = None, told: Objects | None = None) -> Situation:
-        """Situation at a time, with objects from the detector's tracks. Without a detector, the plant reports them, or a perfect tracker.
+        """Situation at a time, with objects from the detector's tracks. Without one, objects come from the plant or a perfect tracker.
 
         ego: measured motion, None for a standing, level car. told: objects reported by the plant.
         """

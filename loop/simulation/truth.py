@@ -60,7 +60,7 @@ def true_modules(modules: Iterable[LampModule], aim: Iterable[AimParams], wear: 
 
 
 def misaim(T_body_headlight: Tensor, errors: Iterable[AimParams]) -> Tensor:
-    """A pose `[4, 4]` translated and rotated by aiming errors, about its own origin and the vehicle's axes. Raises LuxloopError below the road."""
+    """A pose `[4, 4]` moved and rotated by aiming errors, about its origin and the vehicle's axes. Raises LuxloopError below the road."""
     T = T_body_headlight.clone()
     for aim in errors:
         if aim.z_m and T[2, 3] > 0 >= T[2, 3] + aim.z_m:
