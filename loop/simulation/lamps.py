@@ -96,9 +96,10 @@ class ShiningModule(MountedModule):
 
 @dataclass(frozen=True)
 class LampPower:
-    """Flux and power of a lamp: flux in lm, its share of the flux of all pixels on, dimming factor of the power limit, power in W.
+    """Flux and power of a lamp.
 
-    flux_lm_peak: flux in lm of the brightest exposure.
+    share: flux relative to all pixels on. factor: dimming by the power limit, 1 without. watts: electrical power. flux_lm_peak: flux of
+    the brightest exposure.
     """
 
     flux_lm: float
@@ -109,7 +110,7 @@ class LampPower:
 
 
 def mean_powers(powers: Sequence[Mapping[str, LampPower]], shares: Sequence[float]) -> Mapping[str, LampPower]:
-    """Time means over exposures by lamp side, except the smallest factor and largest peak. A single exposure lasts the whole step."""
+    """Time means over exposures by lamp side, with the smallest factor and largest peak. A single entry counts for the whole step."""
     if len(powers) == 1:
         return powers[0]
 
@@ -135,7 +136,7 @@ def in_reach(modules: Sequence[ShiningModule], primitives: Primitives, now: Situ
 
 
 def lamp_modules(modules: Iterable[MountedModule]) -> tuple[LampModule, ...]:
-    """Modules in the form for a plant."""
+    """The modules as `LampModule`s for a plant."""
     return tuple(LampModule(each.name, each.headlight, each.T_world_module) for each in modules)
 
 

@@ -18,10 +18,11 @@ Objects = tuple[TrackedObject, ...]
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
-    """Light shown for `duration_s` s from `start_s` s on, and captured in one frame.
+    """Light captured in one frame.
 
-    number: ascending and unique. lights: utilisations, one a module, base beams included. projections: of the closed-loop symbols in
-    these lights, by name; a plant ignores them. commands: turn and dimming of each module; empty if all are at rest.
+    number: ascending and unique. start_s, duration_s: start and duration of the light in s. lights: utilisations, one a module, base
+    beams included. projections: closed-loop symbols in these lights, by name; a plant ignores them. commands: turn and dimming of each
+    module; empty if all are at rest.
     """
 
     number: int
@@ -36,8 +37,8 @@ class Exposure:
 class Frame:
     """An arrived or lost frame.
 
-    number: of its exposure. taken_s, arrived_s: times in s. image: digital numbers `[height, width]`, None if lost. shown: the exposure
-    in the frame, None if it equals the commanded exposure.
+    number: of its exposure. taken_s: capture time in s. arrived_s: arrival time in s. image: digital numbers `[height, width]`, None if
+    lost. shown: the exposure in the frame, None if it equals the commanded exposure.
     """
 
     number: int
@@ -49,10 +50,10 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Arrivals:
-    """Frames, samples and objects that arrived by `time_s` s, when the next exposure begins.
+    """Frames, samples and objects that arrived during an exposure.
 
-    frames: by ascending number. samples: of the vehicle's sensors, empty for a standing vehicle. objects: reported objects in the ground
-    frame, for lighting functions without a detector; None without a report.
+    time_s: end of the exposure and start of the next one. frames: by ascending number. samples: of the vehicle's sensors, empty for a
+    standing vehicle. objects: reported objects in the ground frame, for lighting functions without a detector; None without a report.
     """
 
     time_s: float

@@ -47,7 +47,7 @@ class Link:
         self._met: tuple[ServerConnection, str] | None = None  # connection and name of the simulator
 
     def meet(self, welcome: Mapping[str, Any]) -> None:
-        """Wait for a simulator and welcome it, unless one is connected. Raises LuxloopError if none connects or the address is not free."""
+        """Wait for a simulator and welcome it, unless one is connected. Raises LuxloopError without one, or for an unusable address."""
         if self._met is not None:
             return
         came, refused = SimpleQueue[tuple[ServerConnection, str]](), list[str]()

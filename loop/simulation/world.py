@@ -47,7 +47,7 @@ class LitScene:
     """The scene at one time in one view, lit by the lamps; rendered at first use.
 
     eye: the whole view. part: rows and columns of the whole view, None for all. render: renders the surfaces of a part of a view.
-    samples: rows of surfaces in a pixel. direct: whether each light is traced separately instead of by a transport matrix. given:
+    samples: rendered rows in a pixel. direct: whether each light is traced separately instead of by a transport matrix. given:
     parameters of the objects 1, 2, ...
     """
 
