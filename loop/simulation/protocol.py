@@ -50,9 +50,9 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Arrivals:
-    """Frames, samples and objects that arrived during an exposure.
+    """Frames, samples and objects that arrived by the end of an exposure, or before the first one.
 
-    time_s: end of the exposure and start of the next one. frames: by ascending number. samples: of the vehicle's sensors, empty for a
+    time_s: start of the next exposure in s. frames: by ascending number. samples: of the vehicle's sensors, empty for a
     standing vehicle. objects: reported objects in the ground frame, for lighting functions without a detector; None without a report.
     """
 
