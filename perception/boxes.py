@@ -54,9 +54,7 @@ def nearness(view: View, u: Tensor, v: Tensor) -> Tensor:
 
 
 def road_rows(view: View, u: Tensor) -> tuple[Tensor, float]:
-    """Row of the horizon in columns `[...]` px, and the change of scale in px per m and row: a metre on the road is larger by so many px
-    from row to row.
-    """
+    """Row of the horizon in columns `[...]` px, and by how many px per m the scale on the road grows from one row to the next."""
     _, down, ahead = view.T_world_view[2, :3].unbind()
     across = view.T_world_view[2, 0] * (u - view.cx) / view.fx
     return view.cy - view.fy * (across + ahead) / down, float(-down * view.fx / view.fy / _height(view))
@@ -184,7 +182,7 @@ def parts_of(boxes: Tensor, expected: Tensor, whole: Tensor) -> Tensor:
 def occluders_of(boxes: Tensor, expected: Tensor, whole: Tensor) -> Tensor:
     """Which boxes `[m, 4]` would occlude expected boxes `[n, 4]` that are seen whole: `[n, m]` bool. whole: `[n]` bool.
 
-    A detector's too large box around the lamps of a car in the dark is such a box.
+    Example: the box, far too large, that a detector draws around the lamps of a car in the dark.
     """
     ours, theirs = expected[:, None], boxes[None]
     return whole[:, None] & (_common(ours, theirs) > INSIDE * _area(ours)) & (theirs[..., 3] > ours[..., 3])

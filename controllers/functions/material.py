@@ -1,7 +1,7 @@
 """Material-based lighting: each material that the camera identifies gets its own light (T 9.2, fig. 9.4).
 
-The material image becomes an image of target illuminance on rectangles at tracked objects and on the road. A lamp ray that hits such a
-rectangle takes the setpoint of the camera pixel that sees the hit.
+Each material in the camera's image has a target illuminance. Rectangles at tracked objects and on the road carry these targets: a lamp ray
+that hits a rectangle takes the setpoint of the camera pixel that sees the hit point.
 """
 
 import math

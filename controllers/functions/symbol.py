@@ -90,7 +90,9 @@ class SymbolFunctionParams(DrawingParams):
     animation: AnimationParams | None = Field(None, description="animation; left out: none but that of a video itself")
     when: ConditionParams | None = Field(None, description="draw only while a selected object is present")
     unless: ConditionParams | None = Field(None, description="do not draw while a selected object is present")
-    observer: ObserverParams | None = Field(None, description="observer for whom the symbol looks undistorted; replaces x_m to length_m")
+    observer: ObserverParams | None = Field(
+        None, description="observer who sees the symbol undistorted; its keys place the symbol, in place of x_m, y_m, width_m and length_m"
+    )
     controller: ControllerParams | None = Field(
         None, description="controller that holds the symbol undistorted by camera feedback; left out: none"
     )

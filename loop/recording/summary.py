@@ -122,7 +122,7 @@ def final_error_percent(table: pa.Table) -> np.ndarray:
 def steady_step(table: pa.Table) -> int | None:
     """The first step from which centroid, length and shear stay near their means of the last ten steps, for ten steps or more.
 
-    None without such a step. A step in which nothing is lit is not near. The position of the symbol does not matter.
+    None where there is no such step. In a step without light the symbol is not near. Its position does not count.
     """
     table = steps_with_metrics(table)
     if table.num_rows < FINAL:

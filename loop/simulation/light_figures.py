@@ -80,7 +80,7 @@ def on_eyes(
 ) -> tuple[float | None, float | None, float | None]:
     """Largest illuminance in lx on heads and windscreens: time mean and peak of all road users, time mean of the due ones.
 
-    None if none is visible. given: parameters of the objects 1, 2, ... due: names of road users for whom the light must be dimmed by now.
+    None where no such surface is in view. given: parameters of the objects 1, 2, ... due: road users who must not be dazzled any more.
     """
     users = {each.name: number for number, each in enumerate(given, 1) if each.category in ROAD_USERS}
     mean, highest = _most(users.values(), metered, shares)

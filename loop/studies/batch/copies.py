@@ -211,7 +211,7 @@ class Copies:
         return added_light(self.view.transports, self.resting, self.view.base)
 
     def _look(self, light: SymbolLight, chosen: Sequence[int], frames: Sequence[Conditions], quantise: bool) -> list[Measurement]:
-        """Measurements of some copies at once, their windows conditions as crops at the place of the first window."""
+        """Measurements of some copies at once; each window counts as a crop at the place of the first one."""
         part, windows = light.part, [light.windows[k] for k in chosen]
         parts, own = [], []  # frames, and flat light with threshold; footprint in the window
         for k, window, conditions in zip(chosen, windows, frames, strict=True):

@@ -15,11 +15,11 @@ from tests.refusal import refusal
 @pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.3, 0.2)])
 def test_a_symbol_is_read_by_the_driver_and_turned_by_roll_within_pitch(roll, pitch):
     """Image row 0 is the far end, column 0 is on the left: far left, far right, near left, near right."""
-    drawn = road_symbol(torch.tensor([17.0, 0.5, roll, pitch]).double(), 0.1, 2.0, 4.0, torch.ones(2, 3), 1.0, "u_abs")
+    drawn = road_symbol(torch.tensor([17.0, 0.5, roll, pitch], dtype=torch.float64), 0.1, 2.0, 4.0, torch.ones(2, 3), 1.0, "u_abs")
     R = Rotation.from_euler("YX", [pitch, roll]).as_matrix()
     corners = [[2, 1, 0], [2, -1, 0], [-2, 1, 0], [-2, -1, 0]] @ R.T + [17, 0.5, 0.1]
-    np.testing.assert_allclose(drawn.corners()[0], corners, atol=1e-6)  # angles in float32
-    np.testing.assert_allclose(drawn.normal[0], R[:, 2], atol=1e-6)
+    np.testing.assert_allclose(drawn.corners()[0], corners, atol=1e-12)
+    np.testing.assert_allclose(drawn.normal[0], R[:, 2], atol=1e-12)
 
 
 def board(x: float, **changes) -> Primitives:
