@@ -244,18 +244,18 @@ ADULT, SHORT, BEHIND = plate(15.0, 0.0, *SIZES["pedestrian"]), plate(14.7, 0.05,
 
 
 @pytest.mark.parametrize(
-    ("known", "then", "tracks"),
+    ("known", "then", "frames", "tracks"),
     [
-        (detections(BOX), detections(BOX, PART, scores=[PEDESTRIAN, CYCLIST]), 1),  # a part of what is known
-        (detections(BOX), detections(BOX, PART, scores=[PEDESTRIAN, CAR]), 2),  # of another kind
-        (detections(CARS[0], scores=[CAR]), detections(*CARS, scores=[CAR, CAR]), 1),  # around a car that is seen whole
-        (detections(CARS[0], scores=[CAR]), detections(CARS[1], scores=[CAR]), 2),
-        (detections(ADULT), detections(ADULT, SHORT), 2),  # a child before an adult, in whose box it lies
-        (detections(ADULT), detections(ADULT, BEHIND), 1),  # and behind, as legs alone
+        (detections(BOX), detections(BOX, PART, scores=[PEDESTRIAN, CYCLIST]), 5, 1),  # a part of what is known
+        (detections(BOX), detections(BOX, PART, scores=[PEDESTRIAN, CAR]), 5, 2),  # of another kind
+        (detections(CARS[0], scores=[CAR]), detections(*CARS, scores=[CAR, CAR]), 5, 1),  # around a car that is seen whole
+        (detections(CARS[0], scores=[CAR]), detections(CARS[1], scores=[CAR]), 5, 2),
+        (detections(ADULT), detections(ADULT, SHORT), 15, 2),  # a child before an adult, in whose box it lies
+        (detections(ADULT), detections(ADULT, BEHIND), 15, 1),  # and behind, as legs alone
     ],
 )
-def test_a_detection_within_another_starts_a_track_or_is_a_part(known, then, tracks):
-    after = tracked([known] * 5 + [then] * 5)
+def test_a_detection_within_another_starts_a_track_or_is_a_part(known, then, frames, tracks):
+    after = tracked([known] * 5 + [then] * frames)
     assert len(after.present) == tracks
     if then.boxes[-1].tolist() == pytest.approx(SHORT, rel=1e-6):
         assert sorted(after.size_m[:, 1].tolist()) == pytest.approx([CHILD[1], SIZES["pedestrian"][1]], rel=0.05)

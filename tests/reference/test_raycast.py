@@ -44,6 +44,11 @@ def lit(triangles: Triangles, points: torch.Tensor) -> torch.Tensor:
     return sees(triangles, LAMP.origin, points)
 
 
+def test_a_flat_road_casts_no_shadow_on_itself():
+    points = on_road(torch.linspace(3, 65, 200_000), torch.linspace(-0.9, 2.1, 200_000))
+    assert lit(scene_with(flat()), points).all()
+
+
 def rough() -> trimesh.Trimesh:
     rng = np.random.default_rng(0)
     return grid(lambda x, y: rng.normal(0, 0.002, x.shape), np.linspace(-5, 70, 700), np.linspace(-5, 5, 100))
@@ -115,6 +120,28 @@ def test_shadows_begin_at_the_foot_at_all_distances(road, x_m, thickness_m):
     y, z = np.meshgrid(np.linspace(-0.149, 1.349, 60), float(road.z(x_m, 0.6)) + np.linspace(0.1, 0.999, 40))
     face = torch.from_numpy(np.stack([np.full_like(y, x_m - thickness_m / 2), y, z])).flatten(1).float()
     assert sees(triangles, WIDE.origin, face).all()
+
+
+@pytest.mark.parametrize("x_m", [13.0, 17.0, 50.0])
+def test_the_shadow_of_a_box_begins_at_its_foot(x_m):
+    triangles = scene_with(flat(), box(x_m))
+    y = torch.linspace(0.15, 1.05, 50)
+    behind = torch.linspace(x_m - 0.5 + 1.5 * TOLERANCE_M, x_m + 8, 500)[:, None]  # under the box first
+    assert not lit(triangles, on_road(behind, y).flatten(1)).any()
+    before = torch.linspace(10.0, x_m - 0.501, 500)[:, None]
+    assert lit(triangles, on_road(before, y).flatten(1)).all()
+    side = torch.tensor([0.6 - 0.501, 0.6 + 0.501])
+    assert lit(triangles, on_road(torch.full((2,), x_m - 0.5), side)).all()
+    front = torch.stack([torch.full((50,), x_m - 0.5), y, torch.linspace(0.0, 0.99, 50)])
+    assert lit(triangles, front).all()
+
+
+def test_a_low_box_throws_a_shadow_of_the_right_length():
+    tip = 10.5 * 0.75 / (0.75 - 0.3)
+    x = torch.linspace(10.6, 25, 3000)
+    dark = x[~lit(scene_with(flat(), box(10.0, height_m=0.3)), on_road(x, 0.6))]
+    assert abs(dark.max() - tip) < 0.0048 + TOLERANCE_M  # the points' spacing
+    assert len(dark) == ((x >= dark.min()) & (x <= dark.max())).sum()
 
 
 def test_nothing_behind_a_lamp_is_in_the_way_nor_what_stands_behind_a_point():

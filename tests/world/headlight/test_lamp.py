@@ -18,6 +18,12 @@ def headlight() -> Headlight:
     return idealised(5, 9, texels_per_pixel=(4, 4))
 
 
+def test_angles_run_to_the_right_and_up():
+    d = direction(torch.tensor([0.0, 90.0, 0.0]), torch.tensor([0.0, 0.0, 90.0]))
+    expected = torch.tensor([[1.0, 0, 0], [0, -1, 0], [0, 0, 1]]).double().T
+    torch.testing.assert_close(d, expected, rtol=0, atol=1e-15)
+
+
 def test_bending_to_the_left_moves_the_light_to_the_left_and_levelling_moves_it_down(headlight):
     module = Module("main", headlight, swivel_deg=(-5, 5), level_deg=(-2, 2))
     u = torch.zeros(headlight.n_pixels)

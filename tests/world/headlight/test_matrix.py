@@ -15,6 +15,14 @@ def tan(degrees: float) -> float:
     return math.tan(math.radians(degrees))
 
 
+def test_overlap_is_minimal():
+    thesis_lamp = idealised()
+    entries_per_texel = thesis_lamp.matrix.values.shape[0] / thesis_lamp.matrix.n_rows
+    # Two of four texels along a pixel lie on its flanks; only the border of the lamp has fewer.
+    assert entries_per_texel == pytest.approx(1.5, rel=0.002)
+    assert thesis_lamp.matrix.values.min() > 0
+
+
 def test_pixels_are_row_major_from_the_top_left():
     lamp = idealised(3, 4)
     light = lamp.light_texture(torch.eye(12))

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
-from luxloop.world.headlight.overlap import PULL, Method, reduce, standard_use_cases
+from luxloop.world.headlight.overlap import PULL, Method, errors, reduce, standard_use_cases
 from luxloop.world.spmv import Csr
 from tests.refusal import sentence
 
@@ -61,6 +61,15 @@ def test_agrees_with_a_dense_reference(method, matrix, keep):
     # Where values turn negative, coordinate descent stops after a number of sweeps: 1e-6 of the largest value, 80 cd.
     tolerance = 8e-5 if method == "least_squares" else 1e-9
     np.testing.assert_allclose(reduced, expected, rtol=1e-9, atol=tolerance)
+
+
+@given(matrix=matrices, seed=st.integers(0, 99), keep=st.integers(1, 4))
+def test_least_squares_are_never_worse_where_they_were_fitted(matrix, seed, keep):
+    cases = standard_use_cases(1, matrix.n_cols, randoms=3, seed=seed)
+    proportional, fitted = (errors(matrix, reduce(matrix, keep, method, cases), cases).rmse for method in METHODS[1:])
+    assert fitted <= proportional + 1e-12  # rounding of an error of zero
+    full = [np.ones(matrix.n_cols)]
+    assert errors(matrix, reduce(matrix, keep), full).rmse <= errors(matrix, reduce(matrix, keep, "threshold"), full).rmse + 1e-12
 
 
 @pytest.mark.parametrize(

@@ -2,18 +2,21 @@
 
 import math
 import re
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from luxloop.world import files
 from luxloop.world.headlight import pixels
-from luxloop.world.headlight.pixels import Pixel, PixelArray, assemble, border_share, default_grid
+from luxloop.world.headlight.pixels import Pixel, PixelArray, _window, assemble, border_share, default_grid
 from luxloop.world.headlight.sources import FileSource
 from luxloop.world.photometry import lm63
-from luxloop.world.photometry.distribution import Aim, Distribution, angles_of
+from luxloop.world.photometry.distribution import Aim, Distribution, angles_of, directions_of
 from luxloop.world.photometry.texture import light_texture, solid_angles
 from luxloop.world.texels import TexelGrid
 from tests.refusal import refusal
@@ -80,6 +83,16 @@ def test_default_texture_holds_all_light_and_is_finer_than_the_data():
     assert made.matrix.toarray().reshape(grid.rows, grid.cols, 2)[:, [0, -1]].max() < 0.01 * 1000
 
 
+@given(st.floats(-100, 100), st.floats(-80, 80), st.floats(0, 60))
+def test_no_ray_of_a_cone_is_missed(yaw_deg, pitch_deg, reach_deg):
+    grid = TexelGrid.from_degrees(30, 40, 60, -70, -50, 45)
+    axis = directions_of("A", pitch_deg, yaw_deg)
+    inside = np.tensordot(axis, rays(grid), 1) >= math.cos(math.radians(reach_deg))
+    rows, cols = _window(grid, axis, math.radians(reach_deg))
+    assert set(np.flatnonzero(inside.any(1))) <= set(rows)
+    assert set(np.flatnonzero(inside.any(0))) <= set(cols)
+
+
 def test_colour_has_luminance_one_and_follows_the_channels():
     red, blue = gaussian(-0.2), gaussian(0.2)
     luminance = replace(red, candela=0.2126 * red.candela + 0.0722 * blue.candela)
@@ -89,6 +102,18 @@ def test_colour_has_luminance_one_and_follows_the_channels():
     texels = made.matrix.toarray().ravel()
     lit = np.flatnonzero(texels)
     np.testing.assert_allclose(made.chroma[0] * texels[lit], light_texture(red, GRID).ravel()[lit], atol=0.1)  # as above
+
+
+def test_memory_of_assembly_is_what_the_estimate_says():
+    wide = gaussian(angles=np.linspace(-10, 10, 25), sigma_deg=20.0)  # lights all texels
+    array = PixelArray([Pixel(wide, rgb=(wide, wide, wide))] * 25, 5, 5)
+    assemble(array, replace(GRID, rows=10))  # what is made once does not count
+    tracemalloc.start()
+    made = assemble(array, GRID)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    share = peak / made.matrix.nnz / pixels._bytes_an_entry(array)
+    assert 0.8 < share <= 1.0
 
 
 def test_a_measurement_tells_what_it_cuts_off():

@@ -56,6 +56,11 @@ def test_the_hd_lamp_keeps_the_rules(beam, rule, ssl_hd):
     assert passes(results), [each for each in results if each.verdict == "fail"]
 
 
+def test_the_rules_named_are_those_that_are_asked_for():
+    assert {"r149-passing-c", "r112-passing-a", "r112-passing-b"} <= set(PATTERNS["low"].rules)
+    assert {"r149-driving-a", "r149-driving-b", "r112-driving-a", "r112-driving-b"} <= set(PATTERNS["high"].rules)
+
+
 @pytest.mark.parametrize("beam", PATTERNS)
 def test_the_light_is_even(beam, ssl_hd):
     v, h = torch.meshgrid(torch.arange(-4.0, -1.5, 0.03), torch.arange(-8.0, 8.0, 0.03), indexing="ij")
@@ -75,6 +80,15 @@ def test_left_hand_traffic_gets_the_mirror_image():
     theirs = other.intensity(right, direction(h, v))
     # Iterations end within 1e-3 of utilisation, and sample points are not quite mirrored.
     torch.testing.assert_close(ours, theirs, rtol=0.02, atol=50)
+
+
+@pytest.mark.parametrize("beam", PATTERNS)
+def test_a_coarse_lamp_gets_a_sensible_beam(beam):
+    hd84 = lamp("hd84")
+    (u,) = hd84.beam(beam)
+    light = hd84.intensity((u,), direction(torch.tensor([0.0, 0.0]), torch.tensor([-1.5, 2.0])))
+    assert float(light[0]) > 3000
+    assert (float(light[1]) > 1700) == (beam == "high")
 
 
 def test_limits_win_over_the_pattern_where_the_lamp_can_keep_them():

@@ -18,6 +18,7 @@ from luxloop.world.scene.scene import Scene
 from luxloop.world.spmv import Csr
 
 I_CD = 1000.0
+CLEAR = Medium(1e-9, 1e-9, 0.0)  # scatters a little and dims nothing
 BESIDE = torch.tensor([1.0, 5.0, 0.0], dtype=torch.float64)  # 5 m to the left of the lamp, looking across its beam
 ACROSS = torch.tensor([[0.6], [-0.8], [0.0]], dtype=torch.float64)
 FAR = torch.tensor([1000.0], dtype=torch.float64)
@@ -32,11 +33,28 @@ def uniform(half_deg: float = 45.0, device: torch.device | str = "cpu") -> Sourc
     return Source(light, texture, torch.eye(4, dtype=torch.float64))
 
 
+def angles(origin: torch.Tensor, ray: torch.Tensor, near: float, far: float) -> tuple[float, float, float]:
+    """Distance of a ray from the lamp, and the angles at the lamp, from its nearest point on, of the ray's ends."""
+    closest = -float(origin @ ray)
+    height = float((origin + closest * ray).norm())
+    return height, math.atan((near - closest) / height), math.atan((far - closest) / height)
+
+
 def test_phase_function_is_a_share():
     for g in (-0.5, 0.0, 0.8):
         total = quad(lambda c, g=g: 2 * math.pi * float(phase(torch.tensor(c, dtype=torch.float64), g)), -1, 1)[0]
         mean = quad(lambda c, g=g: 2 * math.pi * c * float(phase(torch.tensor(c, dtype=torch.float64), g)), -1, 1)[0]
         assert (total, mean) == pytest.approx((1, g), abs=1e-6)
+
+
+def test_airlight_of_a_uniform_source_in_thin_air_is_an_angle(device):
+    # Without extinction the integral of ds / d^2 is the angle under which the lamp sees the lit part of the ray, by its distance.
+    enter = 5 / 1.4 - 1 / 1.4  # where y = x: the ray is at (1 + 0.6 s, 5 - 0.8 s)
+    leave = 6 / 0.2  # where y = -x
+    height, first, last = angles(BESIDE, ACROSS[:, 0], enter, leave)
+    expected = CLEAR.scattering_per_m * I_CD / (4 * math.pi) * (last - first) / height
+    found = airlight(uniform(device=device), BESIDE.to(device), ACROSS.to(device), FAR.to(device), CLEAR)
+    assert float(found[0]) == pytest.approx(expected, rel=1e-6)  # midpoints of a constant; extinction takes 1e-8
 
 
 @pytest.mark.parametrize("asymmetry", [0.0, 0.8])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from torch.nn.functional import max_pool2d
 
 from luxloop.world.frames import View, pose_from_degrees
 from luxloop.world.materials.library import Texture
@@ -17,7 +18,7 @@ from luxloop.world.scene.embree import EmbreeMesh
 from luxloop.world.scene.scene import Scene
 from luxloop.world.scene.triangles import Instance, Triangles
 from luxloop.world.traffic.objects import BoxParams
-from tests.world.grids import camera, flat, grid, lamp
+from tests.world.grids import bumpy, camera, flat, grid, lamp
 
 
 @pytest.fixture(params=["opengl", "raycast"])
@@ -55,6 +56,29 @@ def test_a_flat_road_lies_where_it_must(source, view):
     assert (seen.albedo[near] == 0.3).all()
     sky = seen.object_id < 0
     assert (seen.position[:, sky] == 0).all() and (seen.normal[:, sky] == 0).all() and (seen.albedo[sky] == 0).all()
+
+
+def test_opengl_and_rays_agree():
+    try:
+        opengl = face_source("opengl")
+    except NoOpenGL as error:
+        pytest.skip(str(error))
+    scene = Scene((Body("road", bumpy(), smooth=True), box(), box(9.0, size_m=(0.3, 0.4, 0.2), name="kerbstone")))
+    view = camera(640, 360)
+    a, b = see(scene, view, opengl), see(scene, view, RayCaster())
+    depth = ((a.position - view.origin[:, None, None].float()) * view.T_world_view[:3, 2].float()[:, None, None]).sum(0)
+
+    def spread(image: torch.Tensor) -> torch.Tensor:
+        image = image.float()[None]
+        return (max_pool2d(image, 3, 1, 1) + max_pool2d(-image, 3, 1, 1))[0]
+
+    inner = (a.object_id >= 0) & (spread(a.object_id) == 0) & (spread(depth) < 0.1 * depth)
+    assert inner.sum() > 0.9 * (a.object_id >= 0).sum()
+    off = (a.position - b.position).norm(dim=0) > 1e-3
+    turned = (a.normal - b.normal).norm(dim=0) > np.radians(0.5)
+    # the rest are crests of bumps whose step in depth is less than a tenth
+    assert ((off | turned) & inner).sum() < 1e-3 * inner.sum()
+    assert torch.equal(a.object_id[inner], b.object_id[inner])
 
 
 def test_bodies_move_appear_and_vanish_under_their_own_id(source):

@@ -104,6 +104,16 @@ def test_a_thin_wall_shades_what_stands_close_behind_it():
     assert sees(Scene((wall,)).at(0.0), torch.tensor([0.0, 0, 0.6]).double(), points).tolist() == [False, True]
 
 
+def test_the_quick_way_finds_the_same_points_in_shadow():
+    triangles, view, lamp_m = scene().at(0.0), camera(), lamp().origin
+    exact, fast = ExactSurfaces(RayCaster()).gbuffer(triangles, view), quick().gbuffer(triangles, view)
+    road = (exact.object_id == 0) & (fast.object_id == 0) & (exact.position[0] > 3)
+    in_light, found = (sees(triangles, lamp_m, each.position[:, road]) for each in (exact, fast))
+    assert 0.01 < (~in_light).float().mean() < 0.9  # there are shadows
+    # where bumps hide each other a ray may meet the next one, as above
+    assert (in_light == found).float().mean() > 0.998
+
+
 def test_one_sees_out_of_a_closed_box_and_not_into_it():
     box = BoxParams(name="box", size_m=(2, 2, 2), track=[{"position_m": (5, 0, 0)}]).build()
     within, beyond = torch.tensor([5.0, 0.1, 1.0]).double(), torch.tensor([9.0, 0.2, 1.1]).double()

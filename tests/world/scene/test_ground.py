@@ -7,10 +7,14 @@ import pytest
 import torch
 
 from luxloop.world.frames import pose_from_degrees
+from luxloop.world.rendering.deferred import DeferredRenderer
+from luxloop.world.rendering.rasterise import NoOpenGL
+from luxloop.world.rendering.surfaces import QuickSurfaces
 from luxloop.world.roads.base import Road
 from luxloop.world.roads.shapes import Flat, Iso8608
 from luxloop.world.scene.ground import LENGTH_M, NEAR_M, PATCH_NEAR_M, SIDE_M, SIGHT_M, SKIRT_M, RoadPatches, RoadTiles
-from luxloop.world.scene.triangles import Instance
+from luxloop.world.scene.triangles import Instance, Triangles
+from tests.world.grids import camera
 
 ROAD = Iso8608(roughness_class="C")
 
@@ -58,6 +62,23 @@ def test_normals_look_beyond_the_tile():
     # central differences over the mesh's own spacing, at the borders as inside
     assert np.abs(-normals[:, 0] / normals[:, 2] - slope)[inner].max() < 1e-6
     assert np.ptp(slope) > 0.05
+
+
+def test_the_road_has_no_holes():
+    try:
+        renderer = QuickSurfaces(DeferredRenderer())
+    except NoOpenGL as error:
+        pytest.skip(str(error))
+    view = camera()
+    placed = near(tiles(), pose_from_degrees((0.0, 0.0, 0.0)))
+    seen = renderer.gbuffer(Triangles.of(*placed), view)
+    rays = view.rays()
+    depth = -view.origin[2] / rays[2]
+    ground = view.origin[:, None, None] + depth * rays
+    # well within the sight, so that the last bumps hide nothing behind them
+    expected = (rays[2] < 0) & (ground[0] < SIGHT_M - 40) & (ground[1].abs() < 20)
+    assert expected.sum() > 1000 and bool((seen.object_id[expected] == 0).all())
+    assert torch.isfinite(seen.position).all()
 
 
 def patches(road=ROAD) -> RoadPatches:

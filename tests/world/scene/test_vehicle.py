@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from luxloop.world.frames import transform
 from luxloop.world.roads.base import Floats, MeshGrid
-from luxloop.world.roads.shapes import Flat
+from luxloop.world.roads.shapes import Flat, GradeParams, Profile
 from luxloop.world.scene.vehicle import COLUMNS, STANDING, CourseParams, Motion, SuspensionParams, VehicleParams, drive
 
 LAMP = torch.tensor([[0.0], [0.0], [0.75]], dtype=torch.float64)
@@ -141,6 +141,38 @@ def _rear_m(state) -> float:
     return float(transform(state.T_world_ground, torch.tensor([[-3.6], [0.0], [0.0]], dtype=torch.float64))[2])
 
 
+def test_over_a_crest_the_ground_touches_the_road_under_the_rear_axle():
+    grades = (GradeParams(x_m=20, percent=5, curve_m=40), GradeParams(x_m=120, percent=-5, curve_m=100))
+    road = Profile(grades=grades)
+    motion = driven((0, 20, 0), road=road, duration_s=14)
+    for t in np.linspace(0.5, 13, 30):
+        state = motion.at(float(t))
+        x, _, z = transform(state.T_world_ground, torch.tensor([[-3.6], [0.0], [0.0]], dtype=torch.float64))[:, 0].tolist()
+        grade = float(road.z(x + 0.5, 0.0) - road.z(x - 0.5, 0.0))
+        # a raised cosine of 10 m has a variance of 3.3 m^2, half of which times 1 / 800 m it lies below; one of 50 m tells the mean grade
+        # over some 20 m, 1 / 800 m apart
+        assert z == pytest.approx(float(road.z(x, 0.0)), abs=2.1e-3)
+        assert math.tan(-state.slope_rad) == pytest.approx(grade, abs=0.008)
+    level, up, down = (motion.at(t) for t in (0.0, 5.0, 13.5))  # 5 s: 96 m, half of the window before the crest
+    assert [state.slope_rad for state in (level, down)] == pytest.approx([0.0, math.atan(0.05)], abs=2e-4)
+    assert -0.05 < up.slope_rad < -0.04
+
+
 def test_times_must_ascend():
     with pytest.raises(ValidationError, match=r"course\n.*time_s must ascend"):
         driven((1, 20, 0), (1, 10, 0))
+
+
+def test_braking_takes_the_way_that_it_should():
+    motion = driven((0, 20, 0), (1, 20, 0), (5, 0, 0))
+    assert motion.at(9.0).T_world_ground[0, 3] == pytest.approx(20 + 40, abs=1e-6)
+    assert motion.at(3.0).acceleration_m_s2 == pytest.approx(-5)
+
+
+def test_the_nose_goes_down_when_braking_and_up_when_accelerating():
+    for final_m_s, sign in ((10.0, 1), (50.0, -1)):
+        state = driven((0, 30, 0), (10, final_m_s, 0)).at(9.0)
+        assert sign * state.pitch_rad == pytest.approx(math.radians(2 * 0.2), rel=1e-3)  # e^(-0.35 * 8.8 * 9) is left of the ringing
+        lamp = transform(state.T_ground_body, LAMP)
+        ahead = transform(state.T_ground_body, LAMP + torch.tensor([[10.0], [0.0], [0.0]]))
+        assert sign * (0.75 - float(lamp[2])) > 0 and sign * float(lamp[2] - ahead[2]) > 0

@@ -92,6 +92,11 @@ def test_nothing_is_ever_in_the_own_way(motion):
     assert led > 0  # cars that go ahead are among them
 
 
+def test_nothing_moves_where_nothing_shall():
+    still = TRAFFIC.model_copy(update={"moving": False}).along(BEND, DRIVE_S)
+    assert len(still) > 40 and all(len(each.track) == 1 for each in still)
+
+
 def test_more_traffic_than_memory_holds_is_refused():
     with refusal(r"traffic: [\d,]+ objects .* raise far_m"):
         TRAFFIC.along(VehicleParams(course=({"speed_m_s": 50.0},)), 1000.0)

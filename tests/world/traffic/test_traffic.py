@@ -173,6 +173,11 @@ def test_traffic_that_is_nowhere_is_told():
         TrafficParams(near_m=70)
 
 
+def test_cyclists_have_bicycles():
+    assert {"head", "helmet", "tyres", "frame"} <= {part.name for part in made("cyclist", helmet=True).parts}
+    assert "helmet" not in {part.name for part in made("cyclist", helmet=False).parts}
+
+
 def test_files_with_other_axes_are_turned(tmp_path):
     box = trimesh.creation.box((1.0, 3.0, 2.0))  # in a file with y up and -z ahead: 2 long, 1 wide, 3 high
     box.export(tmp_path / "box.obj")
