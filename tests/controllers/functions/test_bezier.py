@@ -60,3 +60,10 @@ def test_a_curve_that_is_a_point_has_no_length():
     control = torch.tensor([[1.0, 2.0]] * 4)
     t, distance = closest(control, torch.tensor([[4.0, 6.0]]))
     assert distance.item() == 5 and not length_at(control, t).any()
+
+
+def test_the_ends_are_found_by_points_beyond_them():
+    line = torch.tensor([[0.0, 0.0], [10.0, 0.0]])
+    t, distance = closest(line, torch.tensor([[-3.0, 4.0], [13.0, -4.0], [5.0, 2.0]]))
+    torch.testing.assert_close(t, torch.tensor([0.0, 1.0, 0.5]))
+    torch.testing.assert_close(distance, torch.tensor([5.0, 5.0, 2.0]))

@@ -113,3 +113,10 @@ def test_turns_add_up_within_the_range_and_intensities_multiply():
 def test_bad_tables_are_refused(given, words):
     with pytest.raises(ValidationError, match=words):
         planner(own=given)
+
+
+def test_a_module_that_a_function_moves_from_now_on_is_there_at_once():
+    one, both = (planner(bend={"kind": "bending", "modules": modules}) for modules in (["right"], ["left", "right"]))
+    given = one.command({}, now(**CURVE), (FREE, Part("right free", FREE.swivel_deg)))
+    free, _ = commands(both.command(given, now(0.1, **CURVE), BOTH))
+    assert free.swivel_deg == pytest.approx(IN_CURVE_DEG)

@@ -89,12 +89,15 @@ def test_a_sign_is_dimmed_in_its_face_that_looks_at_the_car(yaw_deg):
 
 def test_functions_move_with_the_car():
     T = pose_from_degrees((100, 50, 2), yaw_deg=90)
-    turned = PrimitiveParams(x_m=30, z_m=2, roll_deg=20, pitch_deg=-50, yaw_deg=10)
+    turned = PrimitiveParams(x_m=30, z_m=2, roll_deg=20, pitch_deg=-50, yaw_deg=10, width_m=2, length_m=3)
     for function in (SymbolFunctionParams(image="a"), PathParams(control_m=((5, 0), (10, 0))), LaneParams(), WidthParams(), turned):
         for here, there in zip(function.primitives(now()), function.primitives(now(T=T)), strict=True):
             assert_close(transform(T, here.corners()[0].T).T, there.corners()[0])
             assert_close(T[:3, :3] @ here.normal[0], there.normal[0])
             assert_close(-torch.nn.functional.normalize(torch.linalg.cross(here.d1[0], here.d2[0]), dim=0), here.normal[0])
+    (here,) = turned.primitives(now())
+    assert (here.d1[0].norm().item(), here.d2[0].norm().item()) == pytest.approx((2.0, 3.0))
+    assert_close(-torch.linalg.cross(here.d1[0], here.d2[0]) / 6, here.normal[0])
 
 
 def test_a_symbol_lies_where_it_shall_with_its_far_end_first():
@@ -314,3 +317,8 @@ def test_an_upright_primitive_lights_the_directions_in_which_it_is_seen():
     pixel = 0.002  # tangent of a pixel and a little more, by which an edge is blurred
     assert lit[up < 0.025 - pixel][:, across < 0.1 - pixel].min() > 0.99
     assert lit[up > 0.025 + pixel].max() == lit[:, across > 0.1 + pixel].max() == 0
+
+
+def test_a_primitive_is_drawn_while_it_is_active():
+    params = PrimitiveParams(start_s=1.0, animation={"kind": "blinking", "rate_hz": 1.0})
+    assert [len(params.primitives(now(time_s=t))) for t in (0.5, 1.2, 1.7)] == [0, 1, 0]

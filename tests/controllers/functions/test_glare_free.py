@@ -147,3 +147,10 @@ def test_no_light_gets_to_the_box(light, x, y, margin):
     aside = 3 + 0.1 * x
     beside = torch.tensor([[x, x], [y + aside, y - aside], [0.5, 0.5]], dtype=torch.float64)
     assert_close(*light_on(now(each), light, GlareFreeParams(), beside))
+
+
+def test_light_far_beside_the_box_stays():
+    each = car(40.0, 0.0)
+    beside = torch.tensor([[40.0, 40.0], [4.0, -4.0], [0.5, 0.5]], dtype=torch.float64)
+    masked, free = light_on(now(each), FINE, GlareFreeParams(), beside)
+    assert_close(masked, free)

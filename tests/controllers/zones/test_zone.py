@@ -113,3 +113,11 @@ def test_the_region_of_a_box_is_the_hull_of_its_corners():
 def test_zones_that_are_none_are_refused(key, value):
     with pytest.raises(ValidationError, match=key):
         ZoneParams(**WALL | {key: value})
+
+
+def test_a_flat_zone_on_the_road_is_seen_where_it_lies():
+    region = box_region(VIEW, HERE, torch.tensor([10.0, -1.0, 0.0]), torch.tensor([20.0, 1.0, 0.0]))
+    rows = torch.nonzero(region.any(1))[:, 0]
+    for row, x in ((rows[0], 20.0), (rows[-1], 10.0)):
+        _, v = VIEW.project(torch.tensor([[x], [0.0], [0.0]], dtype=torch.float64))[0][:, 0]
+        assert abs(float(row) + 0.5 - float(v)) < 1  # px
