@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import pytest
 import torch
+from torch import Tensor
 
 from luxloop.controllers.pixels.jpo import Jpo, JpoParams
 from luxloop.controllers.pixels.primitives import Primitives, concatenate, rectangle
+from luxloop.controllers.pixels.secondary import PotentialLight, SecondaryRays
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.perception.metrics import mae, rmse
 from luxloop.world.frames import pose_from_degrees
@@ -105,3 +107,17 @@ def test_over_another_beam_it_is_as_if_prepared_for_it(hd84):
     assert torch.equal(moved.full, anew.full)
     primitives = concatenate(on_a_wall(2.5, 0.4, "u_abs"), on_a_wall(-2.5, 1.5, "u_rel"))
     assert torch.equal(moved.utilisation(primitives, T_LAMP).u, anew.utilisation(primitives, T_LAMP).u)
+
+
+def test_rays_are_cast_once(hd84):
+    """And ask what they hit once: SSC starts from the same setpoints as the optimisation."""
+    asked = []
+
+    def occluded(points: Tensor, target: Tensor) -> Tensor:
+        asked.append(points.shape[-1])
+        return torch.zeros(points.shape[-1], dtype=torch.bool)
+
+    secondary = SecondaryRays((("left", PotentialLight.of(hd84, T_LAMP)),), 0, occluded=occluded)
+    for controller in (Ssc.prepare(hd84), Jpo.prepare(hd84, JpoParams(iterations=1))):
+        controller.utilisation(on_a_wall(), T_LAMP, secondary)
+    assert len(asked) == 2

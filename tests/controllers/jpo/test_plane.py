@@ -72,3 +72,21 @@ def test_the_pixels_of_a_place_are_those_that_light_it(name):
     every = light.intensity(light.light_texture(torch.ones(light.n_pixels)), local)[0]
     assert 0 < len(pixels) < 30 and 0.3 * every < cd.sum() <= 1.0001 * every
     assert not len(lighting(light, pose, torch.tensor([-5.0, 0.0, 0.0]))[0])
+
+
+def test_cells_of_a_wall_have_the_light_of_their_points(lights):
+    wall_m = 25.0
+    T_body_wall = torch.tensor([[0.0, 0, -1, wall_m], [0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]], dtype=torch.float64)
+    raster = Raster(-1.0, 3.0, -15.0, 15.0, 40, 300)  # beyond the borders of the lamps' field
+    u = [torch.rand(light.n_pixels, generator=torch.Generator().manual_seed(1)) for light in lights]
+    points = transform(T_body_wall, raster.points(3).flatten(1))
+    wanted = torch.zeros(points.shape[1], dtype=torch.float64)
+    for light, pose, each in zip(lights, POSES, u, strict=True):
+        away = points - pose[:3, 3:]
+        wanted += light.intensity(light.light_texture(each), transform(inverse(pose), points).float()) * away[0] / away.norm(dim=0) ** 3
+    cells = wanted.view(9, -1).mean(0)
+    now = [(light, inverse(T_body_wall) @ pose, each) for light, pose, each in zip(lights, POSES, u, strict=True)]
+    given = fit_plane(now, raster, cells.float(), torch.ones(40 * 300, dtype=torch.bool), iterations=0)
+    assert (given.lx - cells).abs().mean() < 0.02 * cells.mean()  # of 3 x 3 points in place of a mean by area
+    assert (given.lx - cells).abs().max() < 0.2 * cells.max()  # at sharp borders of pixels
+    assert torch.unravel_index(given.lx.argmax(), (40, 300))[0] in range(4, 24)  # upwards: the brightest lies about the lamps' height
