@@ -74,10 +74,40 @@ def test_infinite_beats_finite_and_forced_beats_near():
 
 
 @pytest.mark.parametrize(
-    "changes", [{"lower_cd": 5000.0}, {"a_ac": 1.0}, {"a_x": 1.0}, {"sampling": "brightest"}, {"a_d": 2.0}, {"a_r": 0.0}, {"a_r": 8.0}]
+    "changes",
+    [
+        {"lower_cd": 5000.0},
+        {"a_ac": 1.0},
+        {"a_x": 1.0},
+        {"sampling": "brightest"},
+        {"a_d": 2.0},
+        *({"a_r": a_r} for a_r in (0.0, 2.0, 8.0)),
+    ],
 )
 def test_nothing_lifts_a_mask(changes):
     """Its texels are pixels' faintest too, of 1e-4 of their peaks and less."""
     light, dark = lamp("hd84").finest.headlight, mask(0.0, -0.3, 0.6, 0.4)
     u = Ssc.prepare(light, MrpcParams(**changes), torch.ones(light.n_pixels)).utilisation(dark, T).u
     assert not light.light_texture(u)[trace(dark, light, T).hit].any()
+
+
+@pytest.mark.parametrize("weight", [1e12, 1e15, 1e30, 1e38])
+def test_heavy_light_beside_a_mask_is_neither_brighter_nor_dark(weight):
+    """All that is heavier than the default by far gives the same: its setpoint, in pixels that the mask leaves."""
+    dark, ssc = mask(0.3, -0.2, 0.4, 0.3), Ssc.prepare(LAMP)
+    expected, heavy = (ssc.utilisation(concatenate(board(0.0, 0.0, 8.0, 4.0, value=0.5, weight=each), dark), T).u for each in (1e9, weight))
+    assert ((expected > 0.4) & (expected < 0.5 + 1e-6)).any() and (expected == 0).any()
+    torch.testing.assert_close(heavy, expected, rtol=0, atol=1e-5)  # float32
+
+
+def test_bright_setpoints_of_infinite_weight_beat_exclusion_and_activation():
+    bright = board(0.3, -0.2, 0.4, 0.3, value=0.5, weight=math.inf)
+    u = Ssc.prepare(LAMP, MrpcParams(a_x=1.0, a_ac=1.0), default=FULL).utilisation(bright, T).u
+    assert sorted(u.unique().tolist()) == pytest.approx([0.5, 1.0])
+
+
+def test_one_ray_of_infinite_weight_darkens_a_pixel_fully():
+    tiny = mask(0.02, -0.11, 0.01, 0.01)
+    u = Ssc.prepare(LAMP, default=FULL).utilisation(tiny, T).u
+    assert 1 <= (u == 0).sum() <= 4 * 4  # the pixels that reach one of at most 2 x 2 texels
+    assert ((u == 0) | (u == 1)).all()

@@ -8,6 +8,9 @@ from torch.testing import assert_close
 
 from luxloop.controllers.pixels.morphing import Morph, Morphing, bend, level, roll
 from luxloop.controllers.pixels.pixel_major import MrpcParams
+from luxloop.controllers.pixels.primitives import rectangle
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised
 
 LAMP = idealised(20, 40)
@@ -66,3 +69,26 @@ def test_morphs_add_up_and_batch():
     batch = morphing.utilisation(stacked)
     assert_close(batch[0], both, rtol=0, atol=1e-5)
     assert_close(batch[1], morphing.utilisation(bend(0.0)), rtol=0, atol=1e-5)
+
+
+def test_edge_darkening_spares_the_border_of_a_vignetted_field():
+    """A moved hot spot asks the weak border for more than it has: full pixels there make a bright band (T fig. 7.18)."""
+    vignette = torch.exp(-(torch.linspace(-2, 2, LAMP.pixel_cols) ** 2)).repeat(LAMP.pixel_rows)
+    weak = LAMP.matrix.with_values(LAMP.matrix.values * vignette[LAMP.matrix.indices.long()])
+    lamp = type(LAMP)(**{**vars(LAMP), "matrix": weak})
+    beam, moved = torch.ones(lamp.n_pixels), bend(math.radians(2.5))
+    plain = Morphing(lamp, beam, PLAIN).utilisation(moved).view(20, 40)
+    dimmed = Morphing(lamp, beam, MrpcParams(a_d=1.0)).utilisation(moved).view(20, 40)
+    assert plain[10, 1].item() == pytest.approx(1.0)
+    assert dimmed[10, 1] < 0.5
+    assert_close(dimmed[10, 16:24], plain[10, 16:24], rtol=0, atol=1e-6)
+
+
+def test_primitives_lie_over_the_morphed_beam():
+    moved = Morphing(LAMP, BEAM).utilisation(bend(math.radians(2.0)))
+    wall = [torch.tensor(v) for v in ((10.0, 0.5, 0.3), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (-1.0, 0.0, 0.0))]
+    half = rectangle(*wall[:3], 0.5, "u_rel", normal=wall[3])
+    u = Ssc.prepare(LAMP).over(moved).utilisation(half, pose_from_degrees((0.0, 0.0, 0.0))).u
+    inside = (slice(9, 12), slice(18, 22))
+    assert_close(u.view(20, 40)[inside], moved.view(20, 40)[inside] / 2, rtol=1e-4, atol=1e-5)
+    assert torch.equal(u.view(20, 40)[:, :10], moved.view(20, 40)[:, :10])

@@ -189,3 +189,48 @@ def test_gradient_survives_rays_along_the_plane(quantity):
     assert seen.hit.any() and not seen.hit[:3].any()
     seen.value.sum().backward()
     assert pose.grad is not None and pose.grad.isfinite().all() and pose.grad.any()
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("quantity", ["u_abs", "E_v"])
+def test_equals_rays_solved_one_by_one(seed, quantity):
+    scene = random_scene(seed, quantity)
+    T = pose_from_degrees((0.3, 0.2, 0.1), roll_deg=5, pitch_deg=-1, yaw_deg=3)
+    value, hit = plain(scene, T)
+    assert 50 < hit.sum() < hit.size
+    fast = trace(scene, LAMP, T)
+    np.testing.assert_array_equal(fast.hit, hit)
+    # Both float64; a ray that grazes its rectangle costs the solver some digits.
+    np.testing.assert_allclose(fast.value, value, rtol=1e-9, atol=1e-12)
+
+
+def test_the_reference_interpolates_as_the_conventions_say():
+    image = np.array([[1.0, 0.0], [0.0, 0.0]])
+    assert reference.symbol_value(image, 0.25, 0.25) == 1
+    assert reference.symbol_value(image, 0.5, 0.25) == 0.5
+    assert reference.symbol_value(image, 0.5, 0.5) == 0.25
+    assert reference.symbol_value(image, 0.1, 0.0) == 1
+
+
+def test_a_given_normal_serves_the_cosine_only():
+    scene = primitives(facing(10, value=5.0), quantity="E_v")
+    tilted = replace(scene, normal=torch.tensor([[-0.6, 0.0, 0.8]], dtype=torch.float64))
+    straight, slanting = trace(scene, LAMP, T_ORIGIN), trace(tilted, LAMP, T_ORIGIN)
+    _, z = LAMP.tangents(torch.float64, torch.device("cpu"))
+    cosine_ratio = 0.6 - 0.8 * z[:, None].expand(-1, LAMP.cols)  # of the unnormalised ray, whose length cancels
+    torch.testing.assert_close(slanting.value, straight.value / cosine_ratio, rtol=1e-12, atol=0)
+
+
+def test_gradient_against_differences():
+    ramp = (torch.arange(8, dtype=torch.float64)[:, None] + 0.3 * torch.arange(8, dtype=torch.float64)) / 10  # bilinear without kinks
+
+    def inside(pose: Tensor) -> Tensor:
+        seen = trace(road_symbol(pose, 0.0, 3.0, 8.0, ramp, 1.0, "E_v"), LAMP, T_LEFT)
+        y, z = LAMP.tangents(torch.float64, torch.device("cpu"))
+        # Road points well within the symbol, where its outline and its clamped border are far.
+        x_road, y_road = -0.75 / z[:, None], 0.6 - 0.75 * y / z[:, None]
+        return seen.value[((x_road - 17).abs() < 2) & ((y_road - 0).abs() < 0.8)]
+
+    pose = torch.tensor([17.0, 0.1, 0.01, -0.01], dtype=torch.float64, requires_grad=True)
+    assert len(inside(pose)) > 5
+    assert torch.autograd.gradcheck(inside, (pose,), eps=1e-6, rtol=1e-4)

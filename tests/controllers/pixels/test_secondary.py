@@ -96,3 +96,10 @@ def test_two_lamps_and_street_lamps_give_together_what_is_wanted(street):
     torch.testing.assert_close(
         light.sum(0) + street_light(points, UP[:, None], street), torch.full((300,), WANTED_LX).double(), rtol=0.03, atol=0
     )
+
+
+def test_utilisations_are_not_shared():
+    scene = replace(carpet(), quantity=torch.tensor([2]))
+    lights = tuple((str(k), PotentialLight.of(FINE, T)) for k, T in enumerate(POSES))
+    assert not SecondaryRays(lights, 0).ask(scene, 0) and SecondaryRays(lights, 0).ask(carpet(), 0)
+    assert not SecondaryRays(lights[:1], 0).ask(carpet(), 0)

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.pixels.jpo import Jpo
+from luxloop.controllers.pixels.mrpc import same_for_all_pixels
 from luxloop.controllers.pixels.pixel_major import MrpcParams
 from luxloop.controllers.pixels.primitives import Primitives, Quantity, concatenate, road_symbol
 from luxloop.controllers.pixels.ssc import Ssc, WindowedSsc, window_suffices
@@ -159,3 +160,28 @@ def test_what_needs_more_than_a_windows_products_is_told():
     assert not window_suffices(dark, mask, T_LEFT)
     for params in (MrpcParams(a_ac=0.5), MrpcParams(sharpening=1.0), MrpcParams(corrections=1), MrpcParams(upper_cd=100.0)):
         assert not window_suffices(Ssc.prepare(LAMP, params), one, T_LEFT)
+
+
+@pytest.mark.parametrize(
+    "pose", [TARGET, (14.0, 2.5, 0.1, -0.1), (17.0, 3.2, 0.0, 0.0), (60.0, 0.0, 0.0, 0.0), (4.0, 0.0, 0.0, 0.0), OUT_OF_SIGHT]
+)
+@pytest.mark.parametrize("quantity", ["u_abs", "E_v"])
+@pytest.mark.parametrize("params", [MrpcParams(), MrpcParams(a_m=0.5)], ids=["products", "entries"])
+def test_the_banded_form_equals_the_batched_form(params, pose, quantity):
+    ssc = Ssc.prepare(LAMP, params)
+    single = ssc.utilisation(road_primitive(pose, quantity), T_LEFT)
+    batch = ssc.utilisation(road_primitive(torch.tensor([pose, TARGET]), quantity), T_LEFT)
+    torch.testing.assert_close(single.u, batch.u[0], rtol=1e-4, atol=1e-5)
+    assert batch.band is None
+    assert single.band is not None
+    outside = torch.ones(LAMP.n_pixels, dtype=torch.bool)
+    outside[single.band] = False
+    assert not single.u[outside].any()
+
+
+def test_a_share_beside_lux_costs_no_more_than_shares_alone():
+    """Only shares above one need the mapping entry by entry, which takes ten times as long."""
+    ssc = Ssc.prepare(LAMP, default=torch.full((LAMP.n_pixels,), 0.5))
+    for share in (0.5, 1.5):
+        scene = concatenate(road_primitive(TARGET, "u_rel", share), road_primitive(TARGET, "E_v", 5.0))
+        assert same_for_all_pixels(ssc.ray_batch(scene, T_LEFT), ssc.pixels, ssc.params, ssc.dark) == (share < 1)
