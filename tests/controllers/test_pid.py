@@ -1,6 +1,7 @@
 """The PID bank against python-control, and what its limits promise."""
 
-from dataclasses import replace
+import math
+from dataclasses import astuple, fields, replace
 
 import control
 import numpy as np
@@ -156,3 +157,17 @@ def test_bad_input():
         PidParams(lower=2.0, upper=1.0)
     with pytest.raises(ValidationError):
         PidParams(rate_limit=0.0)
+
+
+def test_unlimited_defaults_keep_gradients_finite():
+    gains = bank(kp=1.0, ki=0.1)
+    leaves = [getattr(gains, f.name).requires_grad_() for f in fields(gains) if f.name != "form"]
+    state = pid_step(pid_reset(gains, torch.zeros(1, dtype=torch.float64)), torch.ones(1, dtype=torch.float64), 0.1, gains)
+    gradients = torch.autograd.grad(state.output.sum(), leaves, allow_unused=True)
+    assert all(g is None or g.isfinite().all() for g in gradients)
+
+
+def test_what_is_left_out_is_unlimited():
+    gains = bank()
+    values = [float(v) for v in astuple(gains)[:-1]]
+    assert values == [0, 0, 0, 0, -math.inf, math.inf, math.inf, math.inf]
