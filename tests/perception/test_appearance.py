@@ -141,3 +141,23 @@ def test_a_pose_gives_back_the_values_it_was_made_of():
     T = pose_from_degrees((17.0, -0.4, 0.2), roll_deg=3.0, pitch_deg=-2.0)
     found = {degree.name: float(degree.of_pose(T)) for degree in DEGREES}
     assert found == pytest.approx({"x": 17.0, "y": -0.4, "roll": math.radians(3.0), "pitch": math.radians(-2.0)})
+
+
+def test_mirrored_symbols_roll_the_other_way():
+    image = sheared_ellipse(40, 30, 20, 9, 0.3) + rectangle((30, 34), (20, 24))
+    mirrored, upside_down = image.flip(1), image.flip(0)
+    for shape in ("quadrants", "moments"):
+        roll, pitch = features(appearance(image, AXES), shape)[2:]
+        assert roll > 0.1, "the right side is lower in the image"
+        assert features(appearance(mirrored, AXES), shape)[2:].tolist() == pytest.approx([-roll.item(), pitch.item()], abs=1e-9)
+        assert features(appearance(upside_down, AXES), shape)[2:].tolist() == pytest.approx([-roll.item(), pitch.item()], abs=1e-9)
+
+
+def test_axes_in_metres_scale_everything():
+    image, cell = random_symbol(), 0.04
+    metres = appearance(image, Axes(AXES.u * cell - 1.5, AXES.v * cell - 19))
+    pixels = appearance(image, AXES)
+    assert_close(metres.centroids, pixels.centroids * cell - torch.tensor([1.5, 19.0], dtype=torch.float64))
+    assert_close(metres.area, pixels.area * cell**2)
+    assert_close(metres.length, pixels.length * cell)
+    assert_close(metres.shear, pixels.shear)

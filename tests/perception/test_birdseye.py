@@ -97,3 +97,21 @@ def test_outside_of_the_image_it_is_dark():
     assert not seen[beside].any(), "beside the field of view, and behind the camera"
     within = (x > 12) & (y.abs() < 0.95 * (x + 1.6) * np.tan(np.radians(15)) - 0.5)
     assert_close(seen[within], torch.ones(int(within.sum())))
+
+
+def test_axes_run_like_the_image():
+    plane = birds_eye(Region(10, 12, 1, -1, cell_m=0.5), VIEW)
+    assert plane.axes.u.tolist() == [-0.75, -0.25, 0.25, 0.75]  # -y, to the right
+    assert plane.axes.v.tolist() == [-11.75, -11.25, -10.75, -10.25]  # -x, towards the car
+    assert plane.map_u.shape == (4, 4)
+
+
+@pytest.mark.parametrize(("x", "y"), [((15, 19), (-1, 1)), ((12, 14), (0.5, 1.5)), ((20, 26), (-2, -0.5))])
+def test_a_rectangle_keeps_its_place_and_size(x, y):
+    plane = birds_eye(REGION, VIEW)
+    seen = appearance(rectify(plane, painted(x, y)), plane.axes)
+    # Bilinear sampling blurs the edges symmetrically in the image; along x a pixel is 0.11 m at 17 m and grows with x squared.
+    assert seen.area.item() == pytest.approx((x[1] - x[0]) * (y[1] - y[0]), rel=0.02)
+    assert seen.centroids[0].tolist() == pytest.approx([-(y[0] + y[1]) / 2, -(x[0] + x[1]) / 2], abs=0.03)
+    assert seen.length.item() == pytest.approx((x[1] - x[0]) / 12**0.5, rel=0.03)
+    assert seen.shear.item() == pytest.approx(0, abs=0.02)

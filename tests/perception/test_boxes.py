@@ -159,7 +159,8 @@ def test_boxes_stand_upright_and_look_at_the_camera():
     to_box = torch.nn.functional.normalize(found.T_world_box[:, :2, 3] - TURNED.origin[:2], dim=-1)
     assert_close(R[:, :2, 0], to_box)
     assert found.T_world_box[:, 2, 3].tolist() == [0.0, 0.0]
-    assert place_boxes(torch.zeros(0, 4), (), TURNED).T_world_box.shape == (0, 4, 4)
+    none = place_boxes(torch.zeros(0, 4), (), TURNED)
+    assert none.T_world_box.shape == (0, 4, 4) and none.size_m.shape == (0, 3)
     low = camera_view(CameraParams(width_px=640, height_px=360, z_m=0.0))
     assert bool(place_boxes(torch.tensor([[300.0, 100.0, 340.0, 300.0]]), ("car",), low).T_world_box.isfinite().all())
 

@@ -109,6 +109,7 @@ def test_a_delay_shows_what_was_measured_before(like):
     assert torch.equal(late.attitude, then.attitude) and torch.equal(late.speed_m_s, then.speed_m_s)
     assert late.told_s == then.told_s and late.time_s == pytest.approx(then.time_s + 2 * PERIOD_S)
     assert look(motion, 1, like, attitude={"delay_s": 0.06}).attitude_s == 0  # the sample of time 0 is there at once
+    motion = motion_of(15, pitch_deg=0.5)
     ego = look(motion, 60, like, gyro={"delay_s": 0.1})
     assert torch.equal(ego.rates[1:], look(motion, 57, like).rates[1:]) and torch.equal(ego.attitude, look(motion, 60, like).attitude)
     assert ego.told_s == (ego.rates_s, ego.attitude_s) == pytest.approx((1.9, 2.0))
@@ -154,3 +155,16 @@ def test_the_newest_sample_is_that_which_was_measured_last():
     alone = ego_of({"wheels": Sample("wheels", 0.9, 1.0, torch.tensor([9.0, 11.0]))}, None, 1.0, PERIOD_S)
     assert alone is not None and float(alone.speed_m_s) == 10 and alone.told_s == (0.9,)
     assert float(alone.yaw_rate_rad_s) == 0 and bool(alone.attitude.isnan().all() and alone.rates.isnan().all())
+
+
+def test_prediction_to_the_exposure_is_good_to_the_second_order(like):
+    motion = motion_of(0, pitch_deg=0.2)
+    bound = 0.5 * math.radians(0.2) * (2 * math.pi * 1.2) ** 2 * PERIOD_S**2
+    for step in range(10, 40):
+        late, now = (
+            look(motion, step, like, attitude={"delay_s": PERIOD_S}, gyro={"delay_s": PERIOD_S}),
+            motion.at(step * PERIOD_S).pitch_rad,
+        )
+        predicted = late.at(late.time_s)
+        assert late.attitude_s == pytest.approx((step - 1) * PERIOD_S) and predicted.attitude_s == late.time_s
+        assert float(predicted.attitude[2]) == pytest.approx(now, abs=1.01 * bound)

@@ -195,3 +195,13 @@ def test_a_crop_is_evaluated_as_the_whole_image_that_is_dark_beyond(goal):
         assert vars(found)[name].equal(value) or torch.allclose(vars(found)[name], value, rtol=0, atol=1e-5, equal_nan=True), name
     assert expected.iou[2] == 0, "nothing of the symbol is there"
     assert all(value[2].isnan().all() for value in (expected.centroid_percent, expected.length, expected.shear))
+
+
+def test_brightness_does_not_move_the_symbol(goal):
+    """The threshold is fixed, so edges of a brighter symbol win a little; ten times darker and it is gone."""
+    dim, bright = evaluate(symbol(brightness=0.06), PLANE, goal), evaluate(symbol(brightness=0.2), PLANE, goal)
+    for metrics in (dim, bright):
+        assert metrics.iou > 0.95
+        assert metrics.centroid_percent.abs().max() < 1
+        assert metrics.ssim < 0.995
+    assert evaluate(symbol(brightness=0.01), PLANE, goal).iou == 0

@@ -86,3 +86,10 @@ def test_frames_are_independent(other):
     one, two = drawn(), drawn(*other)
     assert abs(float((one * two).mean())) < SIGMAS / math.sqrt(N)
     assert abs(float(((one**2 - 1) * (two**2 - 1)).mean())) < SIGMAS * 2 / math.sqrt(N)
+
+
+@pytest.mark.parametrize("z", [0.01, 0.5, 1.0, 2.0, 3.0, 4.0, 4.5])
+def test_as_much_lies_beyond_as_should(z):
+    p = math.erfc(z / math.sqrt(2))
+    beyond = float((drawn().abs() > z).sum())
+    assert abs(beyond - N * p) < SIGMAS * math.sqrt(N * p * (1 - p)) + 1  # counts are whole
