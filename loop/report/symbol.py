@@ -212,7 +212,7 @@ def _progression(figure: SubFigure, symbol: ControlledSymbol, history: SymbolHis
         overlay = np.zeros((*past.shape, 4), np.float32)
         overlay[..., 0], overlay[..., 3] = 1.0, 0.3 * (past & ~final[crop.slices])
         axes.imshow(overlay, extent=(crop.u_start, crop.u_stop, crop.v_stop, crop.v_start), interpolation="nearest")
-    _outline_target(axes, symbol, view)
+    outline_target(axes, symbol, view)
     path = np.array(history.path)
     axes.plot(*path.T, color=PATH, lw=1.3, marker="o", ms=2.5)
     seen = path[np.isfinite(path).all(1)]
@@ -223,7 +223,7 @@ def _progression(figure: SubFigure, symbol: ControlledSymbol, history: SymbolHis
     _look_at(axes, symbol, boxes, after.shape, aspect=2.75)
 
 
-def _outline_target(axes: Axes, symbol: ControlledSymbol, view: View) -> None:
+def outline_target(axes: Axes, symbol: ControlledSymbol, view: View) -> None:
     """Outline the target on the plane z = 0 as a view from the ground frame sees it."""
     mask, eye = _target(symbol)[1].cpu(), symbol.sensor.model.eye.view
     lit = torch.nonzero(mask)

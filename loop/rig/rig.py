@@ -3,7 +3,7 @@
 import math
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -28,22 +28,45 @@ LEAST_FRAMES = 0.8  # share of exposures with a frame; jitter, lost packets and 
 LONGEST_SILENCE = 10  # exposures without a frame at the end of a run whose rig has failed
 
 
-def spread_ms(times_s: Sequence[float]) -> dict[str, float | None]:
-    """Median, 95 % quantile and largest of times in ms; None without times."""
-    values = 1e3 * np.quantile(times_s, (0.5, 0.95, 1)) if times_s else (None,) * 3
-    return {name: value and round(float(value), 2) for name, value in zip(("median", "p95", "worst"), values, strict=True)}
+BIN_S = 0.0005
+BINS = 10_000  # up to 5 s; later times count as the last bin
+
+
+@dataclass
+class TimeHistogram:
+    """Histogram of times, of constant memory in runs of days."""
+
+    counts: Image = field(default_factory=lambda: np.zeros(BINS, np.int64))
+    worst_s: float = 0.0
+
+    def add(self, time_s: float) -> None:
+        self.counts[min(max(int(time_s / BIN_S), 0), BINS - 1)] += 1
+        self.worst_s = max(self.worst_s, time_s)
+
+    def quantile_s(self, share: float) -> float | None:
+        """Quantile in s, None without times. share: 0..1."""
+        if not self.counts.any():
+            return None
+        at = int(np.searchsorted(np.cumsum(self.counts), share * self.counts.sum()))
+        return min((at + 0.5) * BIN_S, self.worst_s)
+
+    @property
+    def in_ms(self) -> dict[str, float | None]:
+        """Median, 95 % quantile and largest in ms; None without times."""
+        values = {"median": self.quantile_s(0.5), "p95": self.quantile_s(0.95), "worst": self.worst_s if self.counts.any() else None}
+        return {name: None if value is None else round(1e3 * value, 2) for name, value in values.items()}
 
 
 @dataclass
 class Statistics:
     """Statistics of a run so far.
 
-    lateness_s: times from sending light to the arrival of its frame. holds_s: durations of exposures. seen: number of pictures by their
-    use. silent: exposures since the newest frame.
+    lateness: times from sending light to the arrival of its frame. hold: durations of exposures. seen: number of pictures by their use.
+    silent: exposures since the newest frame.
     """
 
-    lateness_s: list[float] = field(default_factory=list)
-    holds_s: list[float] = field(default_factory=list)
+    lateness: TimeHistogram = field(default_factory=TimeHistogram)
+    hold: TimeHistogram = field(default_factory=TimeHistogram)
     seen: Counter[str] = field(default_factory=Counter)
     lost: Counter[str] = field(default_factory=Counter)
     losses: list[tuple[int, str]] = field(default_factory=list)
@@ -80,8 +103,8 @@ class Statistics:
             "lost": dict(self.lost),
             "losses": [{"exposure": number, "reason": reason} for number, reason in self.losses],
             "control_rate_hz": round(self.exposures / per_step / lasted_s, 3) if lasted_s > 0 else None,
-            "light_to_frame_ms": spread_ms(self.lateness_s),
-            "hold_ms": spread_ms(self.holds_s),
+            "light_to_frame_ms": self.lateness.in_ms,
+            "hold_ms": self.hold.in_ms,
             "pictures": dict(self.seen),
         }
 
@@ -174,7 +197,7 @@ class Rig:
 
     def _done(self, began_s: float) -> None:
         self.statistics.ended_s = time.monotonic()
-        self.statistics.holds_s.append(self.statistics.ended_s - began_s)
+        self.statistics.hold.add(self.statistics.ended_s - began_s)
         self.keeper.beat()
 
     def _lost(self, number: int, sent_s: float, reason: str) -> RigFrame:
@@ -253,7 +276,7 @@ class Rig:
                 return "no second picture with this exposure's mark came"
         if self.keeper.since_s != since_s:  # the light was interrupted meanwhile
             return self.keeper.reason or "the light changed"
-        self.statistics.lateness_s.append(picture.arrived_s - since_s)
+        self.statistics.lateness.add(picture.arrived_s - since_s)
         self.statistics.silent = 0
         return RigFrame(since_s, picture.arrived_s, image, data=picture.data)
 

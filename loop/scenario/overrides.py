@@ -35,9 +35,20 @@ def overridden(data: Mapping[str, Any], overrides: Sequence[Override]) -> dict[s
     """
     nested = [tables(override) for override in overrides]
     changed = copy.deepcopy(dict(data))
-    for changes in (*map(_variants, nested), *nested):
+    for changes in map(_variants, nested):
+        _merge(changed, changes)
+    for changes in nested:
+        _refuse_misspelt(changed.get("functions"), changes.get("functions"))
         _merge(changed, changes)
     return _clear(changed)
+
+
+def _refuse_misspelt(functions: Any, changes: Any) -> None:
+    """Raises LuxloopError for a new function without a kind whose name is near that of another one."""
+    if isinstance(functions, dict) and isinstance(changes, dict):
+        for name, table in changes.items():
+            if name not in functions and isinstance(table, dict) and "kind" not in table and (meant := near(name, functions)):
+                raise LuxloopError(f"functions.{name}: there is no function {name!r}; did you mean {meant!r}? A new one needs a kind")
 
 
 def _clear(data: Any) -> Any:
@@ -124,8 +135,6 @@ def _merge(into: dict[str, Any], changes: Mapping[str, Any], within: str = "") -
             )
         elif isinstance(old, dict) and isinstance(value, dict) and _same_variant(old, value):
             _merge(old, value, whole)
-        elif within == "functions" and isinstance(value, dict) and "kind" not in value and (meant := near(key, into)) and key not in into:
-            raise LuxloopError(f"{whole}: there is no function {key!r}; did you mean {meant!r}? A new one needs a kind")
         else:
             into[key] = value
 

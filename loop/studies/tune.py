@@ -250,6 +250,16 @@ def _try(study: optuna.Study, trials: Sequence[optuna.Trial], task: Task, execut
         study.tell(trial, float(np.mean(first[0] + more[0])))
 
 
+def note_batches(task: Task, workers: int, gradient: bool) -> str | None:
+    """Sizes of a study's batches, in words; None without batches."""
+    runs = task.runs({})
+    half = -(-len(runs) // 2)
+    random, later = (max(map(len, places_of(some, workers))) for some in (runs[:half] * STARTUP, runs if gradient else runs[:half]))
+    found = [f"up to {random} in the first {STARTUP} trials"] if random > 1 and not gradient else []
+    found += [f"up to {later} in {'the others' if found else 'all trials'}"] if later > 1 else []
+    return f"runs in batches of {', of '.join(found)}" if found else None
+
+
 def run_all(task: Task, runs: Runs, execute: Executor) -> PartResult:
     """Costs and traces in the order of the runs, so that sums round equally, and the number of runs that settled."""
     return run_parts(task, [runs], execute)[0]

@@ -14,7 +14,7 @@ from luxloop.loop.report.terminal import number, plural
 from luxloop.loop.studies import objective, ranges
 from luxloop.loop.studies.gradient import tune_by_gradient
 from luxloop.loop.studies.jobs import local
-from luxloop.loop.studies.tune import STUDY, Task, Tuning, tune
+from luxloop.loop.studies.tune import STUDY, Task, Tuning, note_batches, tune
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import atomic_write, lock_file
 
@@ -29,7 +29,10 @@ def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradie
     """
     if not task.ranges:
         raise LuxloopError("--key: is missing; give keys with ranges, such as --key functions.symbol.controller.position.kp=0.1:2")
-    tuned = (tune_by_gradient if gradient else tune)(task, folder, trials, local(processes))
+    execute = local(processes)
+    if note := note_batches(task, execute.workers, gradient):
+        tables.say(note, stderr=True)
+    tuned = (tune_by_gradient if gradient else tune)(task, folder, trials, execute)
     write(tuned, folder)
     tables.show(tables.plain(("key", "given", "best"), ((f"[bold]{key}[/]", *told) for key, *told in _rows(tuned))))
     if notes := _notes(tuned):

@@ -134,7 +134,10 @@ def _detect(grey: Image, board: Any, scale: int) -> tuple[Array, Indices, int]:
 
 FEWEST_VIEWS = 5
 LARGEST_STD = 0.03  # of a determined lens, relative to focal length and picture size
-ADD = "add sharp views with the board large, in each corner of the picture, and tilted by 20 to 45 deg to each side"
+TILTED = 0.94  # foreshortening of a tilted board, by 20 deg or more; the lens adds some
+SLANTED = 0.38  # component of a direction that counts as one to that side: 22.5 deg
+CORNER = 0.3  # share of the picture's width and height that is its corner
+PLACES = {"top left": (0, 0), "top right": (1, 0), "bottom left": (0, 1), "bottom right": (1, 1)}
 _CENTRED = cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_ZERO_TANGENT_DIST
 # Unknowns are freed one by one: all at once, a long lens with barrel distortion ends in another minimum.
 STAGES = (_CENTRED | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2, _CENTRED | cv2.CALIB_FIX_K2, _CENTRED, 0)
@@ -163,7 +166,7 @@ def lens(views: Sequence[Corners], width: int, height: int) -> tuple[CameraModel
             _, matrix, distortion, turns, moves, *_ = found
             guess = cv2.CALIB_USE_INTRINSIC_GUESS
     except cv2.error as error:
-        raise LuxloopError(f"the {len(views)} views do not determine the lens ({error.err}); {ADD}") from error
+        raise LuxloopError(f"the {len(views)} views do not determine the lens ({error.err}); {_missing(views, width, height)}") from error
     camera = CameraModel(width, height, matrix + HALF, np.ravel(distortion)[:5])
     poses = [Pose(np.ravel(turn), np.ravel(move)) for turn, move in zip(turns, moves, strict=True)]
     left = [camera.project(pose.points(each)) - view.pixels for pose, each, view in zip(poses, points, views, strict=True)]
@@ -172,7 +175,7 @@ def lens(views: Sequence[Corners], width: int, height: int) -> tuple[CameraModel
     std, limit = np.sqrt(np.diag(covariance))[:4], LARGEST_STD * np.array([*np.abs(camera.values[:2]), width, height])
     if not (std < limit).all():
         told = ", ".join(f"{name} {a:.4g} ± {b:.2g}" for name, a, b in zip(("fx", "fy", "cx", "cy"), camera.values, std, strict=False))
-        raise LuxloopError(f"the {len(views)} views do not determine the lens ({told} px); {ADD}")
+        raise LuxloopError(f"the {len(views)} views do not determine the lens ({told} px); {_missing(views, width, height)}")
     worst = int(np.argmax(rms))
     if not rms[worst] < MOST_PX:
         raise LuxloopError(
@@ -180,6 +183,27 @@ def lens(views: Sequence[Corners], width: int, height: int) -> tuple[CameraModel
             "keep the board flat, or take the picture out"
         )
     return replace(camera, covariance=covariance), float(np.sqrt(np.mean(np.square(rms))))
+
+
+def _missing(views: Sequence[Corners], width: int, height: int) -> str:
+    """Remedy: the tilts and places of the board that the views lack."""
+    """What views to add: the sides of the board that are tilted away in none, and the corners of the picture that none reaches."""
+    sides = dict.fromkeys(("left", "right", "top", "bottom"), False)
+    for view in views:
+        H, _ = cv2.findHomography(view.board - view.board.mean(0), view.pixels)
+        if H is None:
+            continue
+        J = (H[:2, :2] - np.outer(H[:2, 2], H[2, :2]) / H[2, 2]) / H[2, 2]  # of the picture by the board, at its middle
+        long, short = np.linalg.svd(J, compute_uv=False)
+        if short < TILTED * long:
+            x, y = J @ H[2, :2] * np.sign(H[2, 2]) / np.linalg.norm(J @ H[2, :2])  # to where the board is farther away
+            sides = {name: sides[name] or part > SLANTED for name, part in zip(sides, (-x, x, -y, y), strict=True)}
+    corners = np.concatenate([view.pixels for view in views]) / (width, height)
+    no_side = [name for name, there in sides.items() if not there]
+    no_place = [name for name, place in PLACES.items() if not (np.abs(corners - place) < CORNER).all(1).any()]
+    add = [f"with the {', '.join(no_side)} of the board tilted away by 20 to 45 deg"] * bool(no_side)
+    add += [f"with the board in the {', '.join(no_place)} of the picture"] * bool(no_place)
+    return f"add views {', and '.join(add) or 'tilted by 20 to 45 deg to all sides, sharp, and large in the picture'}"
 
 
 def _covariance(camera: CameraModel, poses: Sequence[Pose], points: Sequence[Array], left: Sequence[Array]) -> Array:

@@ -32,7 +32,7 @@ from luxloop.loop.rig.calibration.shots import luminous
 from luxloop.loop.rig.params import RigParams
 from luxloop.loop.rig.plant import RigPlant
 from luxloop.loop.rig.rectification import AS_SENT, WrongPicture, camera_picture
-from luxloop.loop.rig.rig import Rig, spread_ms
+from luxloop.loop.rig.rig import Rig, TimeHistogram
 from luxloop.loop.rig.wire.sockets import udp_sender
 from luxloop.loop.simulation.digitised import DigitisedPlant
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame
@@ -52,7 +52,7 @@ class Beam:
     def __init__(self, late: int, dark: Tensor) -> None:
         """late: delay of the light in the simulated world, in exposures. dark: texture before the first exposure."""
         self._under_way = deque[Tensor | None]([dark] * late, maxlen=late + 1)
-        self._digitising_s, self._whole_s, self._saturated = list[float](), list[float](), 0.0
+        self._digitising, self._whole, self._saturated = TimeHistogram(), TimeHistogram(), 0.0
         self.newest: tuple[Tensor, Tensor] | None = None
 
     def take(self, texture: Tensor | None) -> Tensor | None:
@@ -64,15 +64,15 @@ class Beam:
         """Record an exposure. digitising_s: from frame to texture. since_light_s: from sending light to texture. saturated: share of
         pixels.
         """
-        self._digitising_s.append(digitising_s)
-        self._whole_s.append(since_light_s)
+        self._digitising.add(digitising_s)
+        self._whole.add(since_light_s)
         self._saturated = max(self._saturated, saturated)
 
     def summary(self) -> dict[str, Any]:
         """The statistics as plain data."""
         return {
-            "light_to_texture_ms": spread_ms(self._whole_s),
-            "frame_to_texture_ms": spread_ms(self._digitising_s),
+            "light_to_texture_ms": self._whole.in_ms,
+            "frame_to_texture_ms": self._digitising.in_ms,
             "saturated": round(self._saturated, 6),
         }
 

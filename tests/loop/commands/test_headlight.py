@@ -106,6 +106,7 @@ IMPOSSIBLE = {  # what is said of a command line
     "show nothing --out no/where/wall.svg": "cannot be written",
     "check hd84 --rule r149-passing-x": "'r149-passing-x'",
     "check hd84 --beam full": "--rule",
+    "check hd84 --beam hihg": "no beam 'hihg'",
     "check hd84 --rule=": "no rule ''",
     "export hd84 --out low.ies --step-deg 0": "0.01",
     "export hd84 --out low.ies --step-deg inf": "5 deg",

@@ -19,10 +19,10 @@ from luxloop.loop.recording.manifest import REPORT, table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.report.highlights import Highlights, SymbolHistory
 from luxloop.loop.report.page import DPI, LIGHT_IN, WIDE_IN, _from_near, write_report
-from luxloop.loop.report.symbol import HIGH_IN, _courses
+from luxloop.loop.report.symbol import HIGH_IN, _courses, outline_target
 from luxloop.loop.simulation.columns import of_one
 from luxloop.loop.simulation.result import StepResult
-from luxloop.world.frames import View
+from luxloop.world.frames import View, pose_from_degrees
 from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import SMALL, box, simulation_of, toml
 
@@ -64,6 +64,28 @@ def lost(result: StepResult) -> StepResult:
     code = torch.tensor(int(ExtractionStatus.NOTHING))
     seen = replace(result.symbol.measurement, code=code, errors=nan, pose_error=nan)
     return replace(result, held={"symbol": replace(result.symbol, measurement=seen)})
+
+
+def test_the_target_is_outlined_where_a_pitched_camera_sees_it(small_simulation):
+    """The outline moves by the focal length times the pitch, but for the distortion of a pinhole a few degrees off its axis."""
+    symbol, view = small_simulation.symbol, small_simulation.symbol.sensor.model.eye.view
+    pitch_deg, middles = 1.0, []
+    turned = replace(view, T_world_view=pose_from_degrees(tuple(view.origin.tolist()), pitch_deg=pitch_deg) @ rotated_only(view))
+    for each in (view, turned):
+        axes = Figure().subplots()
+        outline_target(axes, symbol, each)
+        (collection,) = axes.collections
+        middles.append(np.concatenate([path.vertices for path in collection.get_paths()]).mean(0))
+    (u, v), (u_turned, v_turned) = middles
+    assert u_turned == pytest.approx(u, abs=1.0)
+    assert v - v_turned == pytest.approx(view.fy * np.tan(np.radians(pitch_deg)), rel=0.03)
+
+
+def rotated_only(view: View) -> torch.Tensor:
+    """The view's pose without its place."""
+    T = view.T_world_view.clone()
+    T[:3, 3] = 0
+    return T
 
 
 def test_page_is_readable_in_print_and_shows_target_and_past(tmp_path, small_simulation, small_results):

@@ -25,6 +25,12 @@ def test_wrong_override_is_shown_beside_the_file(file):
     assert "with steps=-3: steps: -3" in failure(file, steps=-3)
 
 
+def test_a_misspelt_function_is_told_from_a_new_one(file):
+    assert "functions.symbl: there is no function 'symbl'; did you mean 'symbol'?" in failure(file, "functions.symbl.width_m=1.5")
+    for overrides in (["functions.symbl.kind=glare_free"], ["functions.symbl.margin_m=0.5", "functions.symbl.kind=glare_free"]):
+        assert set(load(str(file), overrides).functions) == {"symbol", "symbl"}
+
+
 def test_overrides_win_over_the_file_and_keep_the_rest(file):
     scenario = load(str(file), ["camera.bits=8", "camera.gamma=2.2", "name=other", "functions.symbol.width_m=1.5"], steps=7)
     assert (scenario.camera.bits, scenario.camera.gamma, scenario.name, scenario.steps) == (8, 2.2, "other", 7)

@@ -19,6 +19,7 @@ from luxloop.loop.studies.campaign import JOBS, TABLE, read, run_campaign
 from luxloop.loop.studies.campaign_report import page, write_report
 from luxloop.loop.studies.jobs import dask, local
 from luxloop.loop.studies.runs import figures
+from tests.loop.conftest import assert_refused
 from tests.refusal import refusal
 
 ROOT = Path(__file__).parents[3]
@@ -154,6 +155,14 @@ def test_runs_that_differ_in_numbers_are_done_together(tmp_path, capsys):
             assert row[key] == pytest.approx(expected[key], rel=1e-3, abs=1e-3)
     again = run_campaign(file, tmp_path / "out", executor=local(1))
     assert again.rows == found.rows and "2 of 2 runs" in capsys.readouterr().err, "what failed is tried again, and nothing else"
+
+
+def test_files_of_others_stay(lux, tmp_path):
+    file = str(written(tmp_path, 'scenarios = ["flat"]\n'))
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("mine")
+    assert_refused(lux("campaign", file, "--jobs", "1", "--out", "mine"), "mine: holds files that are no campaign", "--out")
+    assert [each.name for each in (tmp_path / "mine").iterdir()] == ["notes.txt"]
 
 
 def test_command(lux, tmp_path):

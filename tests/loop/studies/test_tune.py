@@ -181,6 +181,10 @@ def test_a_seeded_study_is_the_same_with_more_processes_and_after_a_stop(tuned, 
 
 def test_random_trials_are_run_together_and_cost_what_they_cost_alone(tuned, scenario):
     given, execute = task(scenario), local(1)
+    assert module.note_batches(given, 1, False) == "runs in batches of up to 8 in the first 8 trials"
+    assert module.note_batches(given, 2, True) is None
+    more = module.note_batches(replace(given, seeds=6), 1, False)
+    assert more == "runs in batches of up to 16 in the first 8 trials, of up to 3 in the others"
     for values, cost, state in trials(tuned)[1:]:
         if state == "COMPLETE":
             alone = [module.run_all(given, [run], execute)[0][0] for run in given.runs(values)]
@@ -272,8 +276,10 @@ def test_command(lux):
     given = ["--objective", "settling", "--trials", "2", "--jobs", "1", "--set", *SMALL, "functions.symbol.controller.name=thesis_pid"]
     code, out, error = lux("tune", "flat", "--key", *KEYS, *given)
     assert code == 0 and "runs/tune-flat" in out and "No trial settled; raise steps." in out
-    assert not error  # not that of an empty folder something was done before
+    assert error == "runs in batches of up to 8 in the first 8 trials\n"  # not that of an empty folder something was done before
     assert_refused(lux("tune", "flat"), "--key: is missing")
+    nothing_held = lux("tune", "gfhb", "--key", "functions.guard_traffic.margin_m=0.1:1")
+    assert_refused(nothing_held, "gfhb: no controller holds a symbol", "--objective energy")
     for option in ("--trials", "--jobs"):
         assert_refused(lux("tune", "flat", "--key", KEYS[0], option, "0"), f"for {option}; must be >= 1")
 
