@@ -12,8 +12,10 @@ from urllib.request import parse_http_list, parse_keqv_list
 import pytest
 
 from luxloop.loop.rig import http_camera
+from luxloop.loop.rig.camera import Camera
 from luxloop.loop.rig.http_camera import HttpCamera
 from luxloop.loop.rig.params import HttpCameraParams
+from tests.loop.rig.conftest import eventually
 from tests.refusal import refusal
 
 HEAD = b"HTTP/1.0 200 OK\r\nServer stupid\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n\r\n"
@@ -59,6 +61,15 @@ def test_a_server_that_is_no_camera_is_told(answer, words):
     host, _ = answering(*(answer if isinstance(answer, tuple) else (answer,)))
     with refusal(words):
         camera_of(host)
+
+
+def test_a_camera_that_sends_nothing_is_not_alive():
+    host, _ = answering(HEAD)
+    camera = Camera(lambda: camera_of(host), 0.3)
+    try:
+        assert eventually(lambda: "no picture for 0.3 s" in camera.reason, 5) and not camera.alive
+    finally:
+        camera.close()
 
 
 @pytest.mark.parametrize(

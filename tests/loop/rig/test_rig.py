@@ -9,6 +9,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from luxloop.loop.rig.blink import evaluate, record
 from luxloop.loop.rig.light import Shine
 from luxloop.loop.rig.rig import Rig, RigFrame, await_camera, open_rig
 from luxloop.perception.camera import CameraParams
@@ -81,6 +82,25 @@ def test_a_loop_that_says_nothing_leaves_the_lamp_dark_and_light_comes_back_slow
         assert eventually(lambda: rig.keeper.darkened == 1, 2)
         given, _ = rig.expose(shine(1, 0.8), 0.001)
         assert given.slowed < 0.5 and given.shine.share < 0.4
+
+
+def test_power_and_change_are_limited_and_told(steady):
+    with rig_of(steady, limits={"power": 0.5, "change_per_s": 4.0}) as rig:
+        rig.expose(shine(0, 0.0), 0.2)
+        given, _ = rig.expose(shine(1, 1.0), 0.001)
+        assert given.dimmed == 0.5
+        time.sleep(0.2)
+        given, taken = rig.expose(shine(2, 0.5), 0.001)
+        assert given.whole and taken.image is not None
+        given, _ = rig.expose(shine(3, 0.0), 0.001)
+        assert 0 < given.slowed < 1 and 0.1 < given.shine.share < 0.5
+
+
+def test_a_dry_run_lights_nothing(steady):
+    with open_rig(steady.params(), (GRID,), CAMERA, armed=False) as rig:
+        assert await_camera(rig)
+        taken = frame_of(rig, 0)
+        assert taken.image is not None and said(taken.image) == {0}
 
 
 def test_with_jitter_and_lost_packets_a_frame_is_right_or_lost(small_rig):
@@ -177,3 +197,17 @@ def test_at_the_end_the_lamp_is_dark_at_once(small_rig):
         raise KeyboardInterrupt
     with open_rig(process.params(), (GRID,), CAMERA, armed=False) as rig:
         assert await_camera(rig) and eventually(lambda: camera_sees(rig, 20), 1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("keys", [{"latency_s": 0.01}, {"latency_s": 0.04, "light_s": 0.02, "exposure_s": 0.015}])
+def test_blinks_find_latency_and_exposure(small_rig, keys):
+    process = small_rig(dark_s=PATIENT_S, **keys)
+    with open_rig(process.params(), (GRID,), None, armed=True) as rig:
+        assert await_camera(rig)
+        found = evaluate(record(rig, (GRID,), 24, 1.0), 24)
+    exposure_s = keys.get("exposure_s", 0.005)
+    true_s = keys.get("light_s", 0.0) + exposure_s + keys["latency_s"]
+    assert abs(found.latency_s - true_s) < 0.004  # a quarter of the camera's period: 24 blinks meet its phases every 0.8 ms
+    assert abs(found.rolling_s - exposure_s) < 0.004
+    assert found.jitter_s < 0.02 and abs(found.interval_s[0] - 0.02) < 0.002

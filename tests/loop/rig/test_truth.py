@@ -16,6 +16,7 @@ from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.build import from_zero
 from luxloop.loop.simulation.lamps import lamp_modules
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.validation import validate_model
 from tests.loop.rig.conftest import DDP, SimulatedRigProcess, watch_frames
 
@@ -44,8 +45,8 @@ def rig_of(tmp_path: Path) -> Iterator[Start]:
         yield lambda *keys: stack.enter_context(LoopRig(["snowflake", "--set", *SMALL, *keys], tmp_path))
 
 
-def run_on(rig_params: RigParams) -> tuple[list[Any], dict[str, Any], float]:
-    """What was taken, the rig's statistics, and the final IoU by the light on the simulated road."""
+def run_on(rig_params: RigParams) -> tuple[Simulation, list[Any], dict[str, Any], float]:
+    """The simulated world for comparison, what was taken, the rig's statistics, and the final IoU by the light on the simulated road."""
     scenario = load("snowflake", [*SMALL, "plant.kind=rig", "checks={}"])
     world = prepare(load("snowflake", SMALL), "cpu")
     simulation = prepare(scenario, "cpu")
@@ -59,12 +60,22 @@ def run_on(rig_params: RigParams) -> tuple[list[Any], dict[str, Any], float]:
     on, off = (each.lights for each in results[-1].exposures)
     evaluator = world.symbol.evaluator
     metrics = evaluator.evaluate(world.world.added(0.0, on, off, ()), 0.0)
-    return taken, summary, float(metrics.iou)
+    return world, taken, summary, float(metrics.iou)
+
+
+def test_on_a_good_rig_the_symbol_is_as_straight_as_in_simulation(rig_of):
+    rig = rig_of("faults.camera.latency_s=0.02")
+    world, taken, summary, iou = run_on(rig.params())
+    assert not rig.wrong(taken) and len(taken) >= 70
+    simulated = [float(each.symbol.metrics.iou) for each in world.evaluations()][-1]
+    print(f"\nIoU {iou:.3f}, simulated {simulated:.3f}; {summary}")
+    assert iou > simulated - 0.02
+    assert abs(summary["judged"]["symbol"]["iou_final"] - iou) < 0.06  # with noise, and by a plane where the road is none
 
 
 def test_with_jitter_lost_packets_and_flicker_no_frame_is_wrong(rig_of):
     rig = rig_of(*HARD)
-    taken, summary, iou = run_on(rig.params(light={"repeats": 3}))
+    _, taken, summary, iou = run_on(rig.params(light={"repeats": 3}))
     assert not rig.wrong(taken) and len(taken) >= 50
     print(f"\nIoU {iou:.3f}; {summary}")
     assert iou > 0.88
@@ -73,7 +84,7 @@ def test_with_jitter_lost_packets_and_flicker_no_frame_is_wrong(rig_of):
 def test_light_that_comes_late_is_told_by_its_mark(rig_of):
     rig = rig_of(*HARD)
     timing = {"latency_s": 0.05, "jitter_s": 0.0, "rolling_s": 0.0}  # far too short: a frame lacks packets until it is sent again
-    taken, summary, iou = run_on(rig.params(timing=timing, mark=MARK))
+    _, taken, summary, iou = run_on(rig.params(timing=timing, mark=MARK))
     assert not rig.wrong(taken) and len(taken) >= 50
     print(f"\nIoU {iou:.3f}; {summary}")
     assert summary["pictures"]["of another exposure"] > 0 and iou > 0.88

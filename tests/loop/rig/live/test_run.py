@@ -6,9 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
+from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.rig.calibration.calibrate import Calibration, save
 from luxloop.loop.rig.calibration.shots import linear_response
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.loop.simulation.frames import image_file, read_image
+from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.world.lamps.presets import idealised
 from tests.loop.conftest import assert_one_sentence
@@ -53,6 +59,26 @@ def test_a_real_lamp_lights_the_simulated_world(small_rig, lux, tmp_path):
     assert code == 2 and "modules.left: is digitised from a real lamp; run it with" in error
     code, _, error = lux("run", "runs/live", "--plant", "recording", "--out", "runs/again", "--no-report", "--no-video")
     assert code == 0, error
+
+
+def test_the_night_is_as_bright_as_the_picture(small_rig, lux, tmp_path):
+    """All pixels of the lamp on: 200 of 255 digital numbers more than in the dark, of which 255 are 100 lx; `I = E d^2 / cos`."""
+    save(tmp_path / "rig.npz", of_lamp())
+    keys = ("lighting.base={beam='full'}", "functions={}", "steps=2")
+    given = ("--rig", rig_file(small_rig(PIXELS), tmp_path), "--out", "runs/live", *GIVEN, *keys, "--frames")
+    code, _, error = lux("run", "small.toml", *given, "--arm")
+    assert code == 0, error
+    simulation = prepare(load("small.toml", [*GIVEN[3:], *keys]))
+    plant, light = simulation.plant, simulation.modules[0].headlight
+    y, z = light.tangents(torch.float64, torch.device("cpu"))
+    cd = 200 / 255 * 100 * 5.95**2 * (1 + y**2 + z[:, None] ** 2) ** 1.5  # of a screen square to the lamp's axis
+    u = torch.ones(light.n_pixels)
+    plant.measured.keep(u, cd)
+    wanted = plant.night.show((), Exposure(0, 0.0, 1 / 30, (Utilisation(u),)))[1].frames[0].image
+    assert wanted is not None
+    found = read_image(image_file(tmp_path / "runs/live", 0), simulation.scenario.camera, wanted)
+    bright = wanted > 0.2 * wanted.max()
+    assert float(found[bright].mean() / wanted[bright].mean()) == pytest.approx(1, abs=0.02)
 
 
 @pytest.mark.parametrize(

@@ -129,6 +129,18 @@ def test_lost_packets_never_light_a_part():
         assert loop.truth()["lit"] and loop.truth()["light_sum"] == loop.rig.rig_scene.pixels, "what is sent again is repaired"
 
 
+def test_commands_dim_a_module():
+    with looped(DARK) as loop:
+        for k in range(1, 15):
+            loop.show(100, k, (ModuleCommand(intensity=0.5),))
+            time.sleep(0.02)
+        dimmed = loop.came[-1][1].astype(float)
+        for k in range(50, 65):
+            loop.show(50, k, (ModuleCommand(),))
+            time.sleep(0.02)
+        assert abs(loop.came[-1][1] - dimmed).max() < 0.05 * dimmed.max()  # both ways through the lamp round differently
+
+
 def test_a_vehicle_drives_and_tells_of_it():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ego:
         ego.bind(("127.0.0.1", 0))

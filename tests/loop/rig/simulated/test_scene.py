@@ -32,6 +32,13 @@ def test_without_faults_its_frames_are_the_plants(pattern):
     assert abs(codes - expected).max() <= 1, "but for rounding: the lamp's light is added to the rest"
 
 
+def test_light_adds_up(rig_scene, pattern):
+    half = np.where(np.arange(rig_scene.pixels) % 2, pattern, 0).astype(np.uint8)
+    whole, one, other = (rig_scene.light(light(each), 0.0) for each in (pattern, half, pattern - half))
+    assert np.allclose(whole, one + other, rtol=1e-4, atol=1e-5)
+    assert rig_scene.light(light(pattern), 0.0) is whole, "and is computed once"
+
+
 def test_a_lamp_is_as_wrong_as_it_is_said_to_be(rig_scene, pattern, image_with):
     right = rig_scene.light(light(pattern), 0.0)
     assert np.allclose(image_with("lamp.scale=1.1"), 1.1 * right, rtol=1e-4)
