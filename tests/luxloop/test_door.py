@@ -40,7 +40,7 @@ def test_names_are_documented():
     for name in luxloop.__all__:
         value = getattr(luxloop, name)
         text = inspect.getdoc(value) or ""
-        assert len(text) > 20, name
+        assert value is not None and len(text) > 20, name
         if inspect.isfunction(value):
             known = text + "".join(f" {each}" for each in inspect.signature(value).parameters if re.search(UNITS, each))
             silent += [f"{name}: {each}" for each in inspect.signature(value).parameters if not re.search(rf"\b{each}\b", known)]

@@ -114,7 +114,10 @@ def test_utilisations_that_do_not_fit_are_named(tmp_path, name, content, words):
     [
         ("name = small", "not valid TOML"),
         ('name = "a"', "module: is missing"),
-        ('nam = "a"\nnotes = 3\nmodule = [1]', "3 errors\n  nam: unknown key; did you mean 'name'?\n  notes: "),
+        (
+            'nam = "a"\nnotes = 3\nmodule = [1]',
+            "3 errors\n  nam: unknown key; did you mean 'name'?\n  notes: 3 is not a text in quotes\n  module[0]: ",
+        ),
         (MATRIX.replace('kind = "blurred_rectangles"', 'kind = "blured_rectangles"'), "did you mean 'blurred_rectangles'?"),
         (MATRIX.replace("columns", "colums"), "unknown key; did you mean 'columns'?"),
         (f"{MATRIX}muont = {{ x_m = 1 }}", "unknown key; did you mean 'mount'?"),

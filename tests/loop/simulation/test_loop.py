@@ -35,16 +35,13 @@ path = { points_m = [[15, -2, 0], [15, 2, 0]], speed_m_s = 1.4 }
 kind = "car"
 name = "oncoming"
 track = [{ position_m = [30, 3, 0], yaw_deg = 180 }]
-[[objects]]
-kind = "car"
-name = "parked"
-lit = false
-track = [{ position_m = [22, -5, 0] }]
 """
+PARKED = {"kind": "car", "name": "parked", "category": None, "lit": False, "track": [{"position_m": [22, -5, 0]}]}  # seen, not reported
+OBJECTS = [*toml(CLOSED)["objects"], PARKED]
 
 
 def closed(*overrides: str, **changes: Any) -> Simulation:
-    return simulated(CLOSED, *overrides, **changes)
+    return simulated(CLOSED, *overrides, **{"objects": OBJECTS, **changes})
 
 
 def results(*overrides: str, **changes: Any) -> list[StepResult]:
@@ -53,7 +50,7 @@ def results(*overrides: str, **changes: Any) -> list[StepResult]:
 
 def test_everyone_is_found_tracked_placed_and_recorded(tmp_path):
     out = tmp_path / "run"
-    summary = run(scenario_of(CLOSED), out, video=False).summary
+    summary = run(scenario_of(CLOSED, objects=OBJECTS), out, video=False).summary
     table = pq.read_table(out / "trajectory.parquet")
     confirmed = 2  # a track is reported after its third frame
     for name in ("walker", "oncoming", "parked"):

@@ -134,7 +134,7 @@ def test_a_road_lies_and_is_believed_in_as_the_same_road_of_ours():
 
 
 WRONG = {
-    "functions.symbol.controller={name='no_such_module_at_all:Halfway'}": "no_such_module_at_all",
+    "functions.symbol.controller={name='no_such_module_at_all:Halfway'}": "controller.name: no_such_module_at_all:Halfway: ",
     "functions.symbol.controller={name='own:Quarterway'}": "own has no Quarterway",
     "functions.symbol.controller={name='own:Halfway', options={gain=1}}": "functions.symbol: controller.options",
     "functions.symbol.controller={name='own:Speechless'}": "no method start",
