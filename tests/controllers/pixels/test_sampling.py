@@ -56,3 +56,11 @@ def test_simplified_pixels_draw_a_homogeneous_wall():
     wall = rectangle((10.0, 100.0, 100.0), (0.0, -200.0, 0.0), (0.0, 0.0, -200.0), 0.5, "u_abs", normal=(-1.0, 0.0, 0.0))
     u = Ssc.prepare(light, MrpcParams(shape="rectangle", mapping="direct", a_x=0.5)).utilisation(wall, T).u
     torch.testing.assert_close(u, torch.full_like(u, 0.5), rtol=0, atol=1e-5)
+
+
+def test_rendering_is_free_of_anti_aliasing():
+    """One ray a pixel: it is asked for what its middle hits, all or nothing."""
+    edge = rectangle((10.0, 1.0, 1.0), (0.0, -2.0, 0.0), (0.0, 0.0, -2.0), 1.0, "u_abs", normal=(-1.0, 0.0, 0.0))
+    hard, soft = (Ssc.prepare(LAMP, params).utilisation(edge, T).u for params in (MrpcParams(sampling="brightest"), None))
+    assert set(hard.unique().tolist()) == {0.0, 1.0}
+    assert len(soft.unique()) > 2

@@ -38,7 +38,8 @@ def test_a_base_pattern_that_goes_out_is_dark_again():
     ssc, primitive = Ssc.prepare(LAMP), road_primitive(TARGET)
     burning = ssc.over(lit)
     assert ssc.dark and not burning.dark and burning.over(torch.zeros_like(lit)).dark
-    assert burning.utilisation(primitive, T_LEFT).band is None
+    light = burning.utilisation(primitive, T_LEFT)
+    assert light.band is None and (light.u == 0.3).sum() > LAMP.n_pixels // 2
     out, plain = burning.over(torch.zeros_like(lit)).utilisation(primitive, T_LEFT), ssc.utilisation(primitive, T_LEFT)
     assert out.band == plain.band is not None and torch.equal(out.u, plain.u)
     outside = torch.ones(LAMP.n_pixels, dtype=torch.bool)
