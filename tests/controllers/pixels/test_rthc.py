@@ -12,7 +12,7 @@ from torch import Tensor
 
 from luxloop.controllers.pixels.primitives import Primitives, concatenate, rectangle, road_symbol
 from luxloop.controllers.pixels.rthc import Setpoints, trace
-from luxloop.controllers.pixels.windows import projected_windows, whole
+from luxloop.controllers.pixels.windows import projected_windows, row_bands, union, whole
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised
 from luxloop.world.texels import Window
@@ -234,3 +234,17 @@ def test_gradient_against_differences():
     pose = torch.tensor([17.0, 0.1, 0.01, -0.01], dtype=torch.float64, requires_grad=True)
     assert len(inside(pose)) > 5
     assert torch.autograd.gradcheck(inside, (pose,), eps=1e-6, rtol=1e-4)
+
+
+@pytest.mark.parametrize("y", [-2.5, 3.7])
+@pytest.mark.parametrize("roll", [-0.03, 0.05])
+def test_parts_of_a_primitive_hold_all_of_its_rays(roll, y):
+    grid = idealised(200, 320)  # 512,000 texels
+    one = road_symbol(torch.tensor([17.0, y, roll, 0.0]), 0.0, 2.0, 9.0, torch.rand(8, 8), 1.0, "u_abs")
+    windows = projected_windows(one, grid, T_LEFT)
+    whole_hit, (parts,) = trace(one, grid, T_LEFT, windows).hit.bool(), row_bands(one, grid, T_LEFT, windows)
+    held = torch.zeros_like(whole_hit)
+    for part in parts:
+        held[part.within(union(windows))] = True
+    assert whole_hit.any() and not (whole_hit & ~held).any()
+    assert len(parts) > 1 and not held.all(), "it slants, as seen from beside"
