@@ -118,7 +118,7 @@ def test_several_errors_have_a_line_each(lux, command):
     assert sorted(line.partition(":")[0] for line in lines) == ["  camera.bits", "  road.kind", "  steps"]
 
 
-MENDED = {  # what is said of a command line
+MENDED = {  # what is said of a command line, in parts
     "rum small.toml": "did you mean 'run'?",
     "data gett x": "did you mean 'get'?",
     "run GFBH": "did you mean 'gfhb'?",
@@ -130,43 +130,43 @@ MENDED = {  # what is said of a command line
     "run small.toml --set functions.symbol.image=snowflak": "did you mean 'snowflake'?",
     "run small.toml --set road.kind=bumpz": "did you mean 'bumps'?",
     "run": "NAME",
-    "run small.toml another": "luxloop run --help",
-    "run small.toml --steps three": "--steps",
-    "run small.toml --steps -1": "greater than or equal to 1",
-    "run small.toml --seed -1": "greater than or equal to 0",
-    "run small.toml --set steps": "key=value",
-    "run small.toml --set camera.bits=[8": "camera.bits",
-    "run nothing.toml": "luxloop new",
+    "run small.toml another": "another | luxloop run --help",
+    "run small.toml --steps three": "--steps | three",
+    "run small.toml --steps -1": "steps=-1 | greater than or equal to 1",
+    "run small.toml --seed -1": "seed=-1 | greater than or equal to 0",
+    "run small.toml --set steps": "--set steps | key=value",
+    "run small.toml --set camera.bits=[8": "camera.bits | '[8'",
+    "run nothing.toml": "nothing.toml | luxloop new",
     "run .": "folder",
     "run nonexist": "no scenario 'nonexist'; `luxloop list` shows",
     "nonexist": "no command 'nonexist'; `luxloop --help` shows",
     "data nonexist": "no command 'nonexist'; `luxloop data --help` shows",
-    "run small.toml --out small.toml": "--out",
-    "run small.toml --out .": "new directory",
-    "run small.toml --set road.kind=mixed road.bumps_m=[-0.1,-0.1]": "greater than or equal to 0",
-    "run small.toml --set functions.symbol.image=none.png": "does not exist",
+    "run small.toml --out small.toml": "small.toml | --out",
+    "run small.toml --out .": "no recording | new directory",
+    "run small.toml --set road.kind=mixed road.bumps_m=[-0.1,-0.1]": "road.bumps_m[1] | -0.1 | greater than or equal to 0",
+    "run small.toml --set functions.symbol.image=none.png": "none.png | does not exist",
     "run small.toml --set functions.symbol.image=black.png": "black.png",
-    "run small.toml --set functions.symbol.image=text.png": "picture",
-    "run small.toml --set functions.symbol.image=empty.png": "picture",
-    "run small.toml --set road.kind=opencrg road.file=none.crg": "check the path",
-    "run small.toml --set road.kind=opencrg road.file=text.png": "OpenCRG",
-    "run small.toml --set road.kind=opencrg road.file=short.crg": "truncated",
-    "run mesh.toml --set road.kind=flat": "No such file",
-    "run badmesh.toml": "triangles",
-    "run small.toml --set camera.yaw_deg=90": "camera's view",
-    "run small.toml --set functions.symbol.y_m=-9 camera.yaw_deg=-26": "lamps' reach",
-    "run small.toml --set headlight.intensity_cd=1": "noise",
-    "check small.toml --set headlight.model=hd84": "finer pixels",
+    "run small.toml --set functions.symbol.image=text.png": "text.png | picture",
+    "run small.toml --set functions.symbol.image=empty.png": "empty.png | picture",
+    "run small.toml --set road.kind=opencrg road.file=none.crg": "none.crg | check the path",
+    "run small.toml --set road.kind=opencrg road.file=text.png": "text.png | OpenCRG",
+    "run small.toml --set road.kind=opencrg road.file=short.crg": "short.crg | truncated",
+    "run mesh.toml --set road.kind=flat": "none.obj | No such file",
+    "run badmesh.toml": "text.stl | triangles",
+    "run small.toml --set camera.yaw_deg=90": "functions.symbol: the target at x_m = 17 | camera's view",
+    "run small.toml --set functions.symbol.y_m=-9 camera.yaw_deg=-26": "functions.symbol: the target at x_m = 17, y_m = -9 | lamps' reach",
+    "run small.toml --set headlight.intensity_cd=1": "noise | headlight.intensity_cd",
+    "check small.toml --set headlight.model=hd84": "noise | left matrix | 6.73 x 0.6 | finer pixels",
     "check small.toml --set a=1": "a: unknown key",
-    "check small.toml --set symbol.image=chevrons": "symbol: unknown key",
+    "check small.toml --set symbol.image=chevrons": "symbol: unknown key | [functions.NAME]",
     "check gfhb --controller open": "controller: none of its functions has one",
     "check two_symbols --controller open": "controller: several symbols have one: flake, way; set functions.NAME.controller",
     "schema --kind symbol": "--kind",
     "check mesh.toml": "none.obj",
-    "replay .": "no recording",
-    "replay nowhere": "luxloop run",
-    "new small.toml": "exists",
-    "new nowhere/my.toml": "folder",
+    "replay .": "no recording | luxloop run",
+    "replay nowhere": "nowhere | luxloop run",
+    "new small.toml": "small.toml | exists",
+    "new nowhere/my.toml": "nowhere/my.toml | folder",
 }
 
 
@@ -182,7 +182,7 @@ def test_what_the_user_can_mend_is_one_sentence_and_leaves_nothing_behind(lux, t
     Path("mesh.toml").write_text(FILE + objects.format("none.obj"))
     Path("badmesh.toml").write_text(FILE + objects.format("text.stl"))
     before = set(tmp_path.rglob("*"))
-    assert_refused(lux(*arguments.split()), named)
+    assert_refused(lux(*arguments.split()), *named.split(" | "))
     assert set(tmp_path.rglob("*")) == before
 
 
@@ -193,7 +193,8 @@ def test_device_that_is_not_there(lux):
 
 def test_check(lux):
     code, out, error = lux("check", "small.toml", "--set", "steps=5")
-    assert (code, error) == (0, "") and out.startswith("small.toml: ok (5 steps, road flat, base beam off, functions symbol (symbol, ")
+    assert (code, error) == (0, "")
+    assert out == "small.toml: ok (5 steps, road flat, base beam off, functions symbol (symbol, held by luxloop), 0 objects, no detector)\n"
 
 
 def test_schema_is_json(lux):
