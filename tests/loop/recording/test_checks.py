@@ -85,7 +85,7 @@ def test_a_value_is_taken_of_the_steps_in_the_window_that_have_one(check, value)
     assert got["passed"] is (value is not None and value >= 0.3)
     if value is None:
         why = "begins at 7 s, the run ends at 0.4 s (raise steps)" if check["from_s"] == 7 else "nothing was there to check"
-        assert why in said(got) and said(got).endswith("failed")
+        assert said(got).endswith(f"{IOU}, at least 0.3, {why}: failed")
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,8 @@ def test_a_value_is_taken_of_the_steps_in_the_window_that_have_one(check, value)
 )
 def test_bounds_hold_the_value_themselves_included(bounds, holds):
     got = of([0.5], **bounds)
-    assert got["passed"] is holds and said(got).endswith("passed" if holds else "failed")
+    assert got["passed"] is holds
+    assert said(got).startswith(f"mean {IOU} 0.5, ") and said(got).endswith("passed" if holds else "failed")
 
 
 def test_a_difference_is_taken_step_by_step():
@@ -102,13 +103,13 @@ def test_a_difference_is_taken_step_by_step():
     assert worst["difference"] == pytest.approx(-0.1) and worst["passed"] and worst["ratio"] is worst["recall"] is None
     assert over["difference"] == pytest.approx(0.2 / 3) and not over["passed"], "of the first three: -0.1, 0.4 and -0.1"
     assert of([0.5, 0.6], [0.5, 0.6], by="difference", over_s=5.0, at_least=0.0)["difference"] is None, "no window is as long"
-    assert "-0.1 relative to open loop" in said(worst)
+    assert "min -0.1 relative to open loop" in said(worst)
 
 
 def test_recall_is_the_share_of_what_the_other_light_finds():
     got = of([0.0, 0.3, None, 0.9, 0.8], [0.9, 0.2, 0.5, None, 0.0], by="recall", at_least=0.5)
     assert got["recall"] == pytest.approx(1 / 3) and not got["passed"], "one of three that the other finds; out of sight is not found"
-    assert "in 33.33 % of the steps" in said(got)
+    assert said(got).endswith("in 33.33 % of the steps in which it is above 0 with open loop, at least 50 %: failed")
     assert of([0.5], [0.0], by="recall", at_least=0.5)["passed"] is False, "nothing was there to find"
 
 
@@ -119,21 +120,27 @@ def test_a_ratio_has_an_answer_where_there_is_nothing_to_divide_by():
     assert ratio(None, 1.0) is ratio(1.0, None) is None
 
 
-REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # by what is named
-    "has no bound; give at_least, at_most": (SMALL, {"metric": IOU}),
-    "checks.it: ": (SMALL, toml("{ metric = 'functions.symbol.iou', at_least = 0.0, from_s = 2.0, until_s = 1.0 }")),
-    f"'{IOU}'": (SMALL, {"metric": "functions.symbol.iuo", "at_least": 0.0}),
-    "leave compare out": (SMALL, {"metric": IOU, "at_least": 0.0, "compare": "full_light"}),
-    "checks.it.compare": (LIT, FLUX | {"compare": "open_loop"}),
-    "'objects.walker.lx_max'": (LIT, {"metric": "objects.walkr.lx_max", "at_most": 1.0}),
-    "[detector]": (LIT, {"metric": "oncoming_lx_max", "at_most": 1.0}),
+# what is wrong: the check, what the sentence must name
+REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str, str]] = {
+    "no bound": (SMALL, {"metric": IOU}, "checks.it: ", "at_least, at_most"),
+    "window exchanged": (
+        SMALL,
+        toml("{ metric = 'functions.symbol.iou', at_least = 0.0, from_s = 2.0, until_s = 1.0 }"),
+        "checks.it: ",
+        "exchange",
+    ),
+    "unknown column": (SMALL, {"metric": "functions.symbol.iuo", "at_least": 0.0}, "checks.it.metric: ", f"'{IOU}'"),
+    "a symbol in full light": (SMALL, {"metric": IOU, "at_least": 0.0, "compare": "full_light"}, "checks.it.metric: ", "leave compare out"),
+    "no symbol": (LIT, FLUX | {"compare": "open_loop"}, "checks.it.compare: ", "full_light or low_beam"),
+    "unknown object": (LIT, {"metric": "objects.walkr.lx_max", "at_most": 1.0}, "checks.it.metric: ", "'objects.walker.lx_max'"),
+    "no detector": (LIT, {"metric": "oncoming_lx_max", "at_most": 1.0}, "checks.it.metric: ", "[detector]"),
 }
 
 
-@pytest.mark.parametrize("named", REFUSED)
-def test_a_check_that_makes_no_sense_is_refused_before_the_run(named):
-    kind, given = REFUSED[named]
-    with sentence("here: checks.it", named):
+@pytest.mark.parametrize("wrong", REFUSED)
+def test_a_check_that_makes_no_sense_is_refused_before_the_run(wrong):
+    kind, given, key, remedy = REFUSED[wrong]
+    with sentence(f"here: {key}", remedy):
         check(validate(with_checks(kind, it=given), "here"), "cpu")
 
 

@@ -113,8 +113,8 @@ def test_failures_are_collected_and_tried_again(done, log, tmp_path):
         assert [row["x"] for row in results.rows] == [1, 2] and list(results.failures) == ["x -1"]
         assert results.failures["x -1"].startswith("ValueError: -1 is negative (test_jobs.py, line ")
     assert log.read_text().split() == ["1", "-1", "2", "-1"]
-    for function, words in ((refuse, "give another x"), (unwritable, "not JSON serializable")):
-        assert words in run(function, numbers(1), tmp_path / "r.jsonl", version="1").failures["x 1"]
+    refused, unwritten = (run(each, numbers(1), tmp_path / "r.jsonl", version="1").failures for each in (refuse, unwritable))
+    assert refused == {"x 1": "give another x"} and "not JSON serializable" in unwritten["x 1"]
 
 
 def test_processes_have_one_thread_and_their_failures_come_back(tmp_path, monkeypatch):

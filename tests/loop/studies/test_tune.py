@@ -368,7 +368,7 @@ def test_what_descent_finds_keeps_its_digits_and_its_range(given):
         (
             "functions.symbol.start_s=0.03",
             KEYS[0],
-            r"symbol\.start_s: batches show the symbol in all steps; .*without --gradient",
+            r"functions\.symbol\.start_s: batches show the symbol in all steps; .*without --gradient",
         ),
         ("functions.symbol.extraction={ area_low=0.9999999, area_high=1.0000001 }", KEYS[0], "its symbol is never seen"),
     ],

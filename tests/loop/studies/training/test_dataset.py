@@ -110,12 +110,12 @@ def test_a_scene_that_fails_leaves_nothing(file, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["night.toml"]
 
 
-WRONG = {
+WRONG = {  # by what is said, in parts
     "night.toml: vary camera.pich_deg=1:2": ('"camera.pitch_deg=1:2"', '"camera.pich_deg=1:2"'),
-    "camera.pitch_deg=1:2": ("camera.pitch_deg=1:2", "camera.pitch_deg=2:1"),
-    "night.toml: variants.high": ('"high"', '"hihg"'),
+    "night.toml: vary | camera.pitch_deg=1:2": ("camera.pitch_deg=1:2", "camera.pitch_deg=2:1"),
+    "night.toml: variants.high | beam": ('"high"', '"hihg"'),
     "night.toml: set: scene 5: ": ('model = "ssl-hd-lores"', 'model = "no-such"'),
-    "night.toml: mask: unknown key": ("masks", "mask"),
+    "night.toml: mask: unknown key | masks": ("masks", "mask"),
 }
 
 
@@ -123,7 +123,7 @@ WRONG = {
 def test_a_wrong_file_is_said_in_a_sentence(words, lux, file):
     text = FILE if "scene 5" not in words else FILE.replace("[variants", "[set.x")
     file.write_text(text.replace(*WRONG[words]))
-    assert_refused(lux("dataset", "night.toml", "--scenes", "2", "--out", "set"), words)
+    assert_refused(lux("dataset", "night.toml", "--scenes", "2", "--out", "set"), *words.split(" | "))
     assert_refused(lux("dataset", "night.toml", "--scenes", "0", "--out", "set"), "for --scenes; must be >= 1")
     assert not (file.parent / "set").exists()
 

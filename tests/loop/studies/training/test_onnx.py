@@ -143,6 +143,7 @@ def test_what_is_not_finite_is_left_out(tmp_path):
 
 def test_what_is_no_network_is_said_in_a_sentence(tmp_path):
     (tmp_path / "broken.onnx").write_bytes(b"no network")
-    for name, words in (("none.onnx", r"detector.file: .*none.onnx: there is no such file"), ("broken.onnx", "is not a valid ONNX file")):
+    told = {"none.onnx": "detector.file: .*none.onnx: there is no such file", "broken.onnx": "broken.onnx: is not a valid ONNX file"}
+    for name, words in told.items():
         with refusal(words):
             OnnxDetector(OnnxParams(file=str(tmp_path / name)))
