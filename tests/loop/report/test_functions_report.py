@@ -196,6 +196,7 @@ def test_who_is_too_small_or_of_another_class_is_not_missed():
 
 def test_check_says_how_much_is_found_in_the_first_frame():
     some, none = check(scenario({})), check(scenario({}, detector={"kind": "truth", "least_height_px": 1000}))
-    assert some["boxes"] == 1 and some["lx_max"] > 5 and "truth (1 boxes in the first frame" in in_words(some)
+    assert some["boxes"] == 1 and some["lx_max"] > 5
+    assert f"truth (1 boxes in the first frame, where objects in sight have up to {some['lx_max']:.3g} lx)" in in_words(some)
     assert none["boxes"] == 0 and none["lx_max"] == some["lx_max"]
     assert "where no object is in sight" in in_words(check(scenario({}, objects=[])))

@@ -223,9 +223,20 @@ def test_dead_pixels_that_are_named_are_dead(plain):
         worn_world(plain, dead_pixels=[339_968])
 
 
+BLIND = {
+    "reduce disturbances.calibration": ["disturbances.calibration={ z_m=-0.5, pitch_deg=-10 }"],
+    "disturbances.calibration.z_m: the camera is at -0.1 m": ["camera.z_m=0.4", "disturbances.calibration.z_m=-0.5"],
+    "disturbances.aim.z_m: the lamp is at -0.05 m": ["disturbances.aim=[{ z_m=-0.4 }, { z_m=-0.4 }]"],
+}
+
+
+@pytest.mark.parametrize("words", BLIND)
+def test_errors_that_leave_nothing_to_see_are_told(words):
+    with refusal(words):
+        prepared(*BLIND[words])
+
+
 WRONG = {
-    "calibration={ z_m=-0.5, pitch_deg=-10 }": "reduce disturbances.calibration",
-    "aim=[{ z_m=-0.4 }, { z_m=-0.4 }]": "disturbances.aim.z_m: the lamp is at -0.05 m",
     "ambient=[{ factor=2.0, from_step=5, until_step=5 }]": r"until_step \(5\) must be later than from_step \(5\)",
     "wear={ dead=0.7, aged=0.4 }": "disturbances.wear: dead .0.7. and aged .0.4. are shares of all pixels",
     "aim=[{ lamp='right' }]": r"disturbances.aim\[0\].lamp: the right lamp is dark here; name it in headlight.lamps",
@@ -235,12 +246,7 @@ WRONG = {
 @pytest.mark.parametrize(("disturbance", "words"), WRONG.items())
 def test_what_cannot_be_is_told(disturbance, words):
     with refusal(words):
-        prepared(f"disturbances.{disturbance}")
-
-
-def test_a_camera_below_the_road_is_refused():
-    with refusal("disturbances.calibration.z_m: the camera is at -0.1 m"):
-        prepared("camera.z_m=0.4", "disturbances.calibration.z_m=-0.5")
+        validate(overridden(AT_TARGET, [f"disturbances.{disturbance}"]), "disturbed")
 
 
 def test_a_box_hides_the_road_and_shades_what_lies_behind(plain):
