@@ -18,11 +18,8 @@ class EmbreeMesh:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
-        self._scene, self._two_sided = EmbreeScene(), two_sided
+        self._scene, self._vertices, self._faces, self._two_sided = EmbreeScene(), vertices, faces, two_sided
         TriangleMesh(self._scene, vertices.float().numpy(), faces.int().numpy())
-        a, b, c = vertices[faces].unbind(1)
-        normal = torch.linalg.cross(b - a, c - a)
-        self._planes = torch.cat([normal, (normal * a).sum(-1, keepdim=True)], -1)  # n x = c, out of the side that is seen, [F, 4]
 
     def cast(self, origin: Tensor, directions: Tensor, farthest: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Rays `[M]` that meet a face, these faces, their depth in lengths of the directions, and those lengths across the face in m.
@@ -37,9 +34,10 @@ class EmbreeMesh:
             face = torch.from_numpy(self._scene.run(_array(origins), _array(d.T), _array(farthest[rays] - start[rays])))
             hit = torch.nonzero(face >= 0)[:, 0]
             rays, d, face = rays[hit], d.index_select(1, hit), face[hit].long()
-            normal, offset = self._planes[face].T.split((3, 1))  # [3, n], [1, n]
+            a, b, c = self._vertices[self._faces[face]].permute(1, 2, 0)  # [3, n]
+            normal = torch.linalg.cross(b - a, c - a, dim=0)  # out of the side that is seen
             towards = (normal * d).sum(0)
-            depth = (offset[0] - origin @ normal) / towards  # t where n (o + t d) = c, [n]
+            depth = (normal * (a - origin[:, None])).sum(0) / towards  # t where n (o + t d - a) = 0, [n]
             front = (towards < 0) | self._two_sided[face]
             met.append((rays[front], face[front], depth[front], (towards.abs() / normal.norm(dim=0))[front]))
             back = ~front

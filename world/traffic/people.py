@@ -1,9 +1,11 @@
 """People on foot and on bicycles: a skeleton of joints, dressed with limbs, after Drillis & Contini's body segments (1966)."""
 
 from dataclasses import dataclass
+from functools import cache
 from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from luxloop.world.scene.body import Body, Figure
@@ -262,8 +264,6 @@ def riding(who: Person, phase: float, lean: float) -> Joints:
 
 def bicycle(who: Person, phase: float) -> list[Piece]:
     """Wheels, frame, cranks and lamps under a rider."""
-    import trimesh
-
     saddle, grips, pedals = _saddle(who), _grips(who), _pedals(phase)
     rear, front, crank = np.array([-0.48, 0, WHEEL_M]), np.array([0.58, 0, WHEEL_M]), np.array([-0.03, 0, 0.28])
     stem = grips.mean(0) * [0.92, 1, 1]
@@ -272,13 +272,21 @@ def bicycle(who: Person, phase: float) -> list[Piece]:
     tubes = [(crank, saddle + xyz(0, 0, -0.04)), (crank, low_stem), (seat, stem), (crank, rear), (seat, rear), (front, stem)]
     tubes += [(stem, grips[0]), (stem, grips[1]), (crank + aside, pedals[0]), (crank - aside, pedals[1])]
     pieces = [limb("frame", a, b, 0.018, 0.018, sides=5) for a, b in tubes]
-    for centre in (rear, front):
-        ring = trimesh.creation.torus(WHEEL_M - 0.02, 0.02, major_sections=16, minor_sections=5)
-        ring.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
-        pieces.append(Piece("tyres", np.asarray(ring.vertices) + centre, np.asarray(ring.faces, dtype=np.int64)))
+    ring, faces = _tyre()
+    pieces += [Piece("tyres", ring + centre, faces) for centre in (rear, front)]
     pieces += [ellipsoid("tyres", saddle, (0.13, 0.07, 0.03), sides=8, rings=5)]
     pieces += [block("tyres", pedal, (0.1, 0.1, 0.03)) for pedal in pedals]
     pieces.append(ellipsoid("front_lamp", stem + xyz(0.06, 0, -0.06), (0.03, 0.035, 0.035), sides=8, rings=6))
     pieces.append(ellipsoid("rear_lamp", saddle + xyz(-0.12, 0, -0.1), (0.02, 0.03, 0.025), sides=8, rings=6))
     pieces.append(block("reflector", rear + xyz(-WHEEL_M + 0.06, 0, 0.2), (0.01, 0.06, 0.08)))
     return pieces
+
+
+@cache
+def _tyre() -> tuple[Floats, NDArray[np.int64]]:
+    """Vertices about the hub and faces; a trimesh torus takes longer than the rest of a cyclist."""
+    import trimesh
+
+    ring = trimesh.creation.torus(WHEEL_M - 0.02, 0.02, major_sections=16, minor_sections=5)
+    ring.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
+    return np.array(ring.vertices), np.array(ring.faces, dtype=np.int64)

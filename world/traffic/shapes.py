@@ -85,10 +85,16 @@ def ellipsoid(part: str, centre: ArrayLike, radii: ArrayLike, sides: int = 12, r
 
 def block(part: str, centre: ArrayLike, size: ArrayLike) -> Piece:
     """A box along the axes, with corners of its own for each face, so that smooth normals leave its edges sharp."""
+    corners = _cube() * np.asarray(size, float) + np.asarray(centre, float)
+    return Piece(part, corners, np.arange(len(corners)).reshape(-1, 3))
+
+
+@cache
+def _cube() -> Floats:
+    """Corners `[36, 3]` of the faces of a cube of side 1, one after the other."""
     import trimesh
 
-    mesh = trimesh.creation.box(np.asarray(size, float))
-    return Piece(part, mesh.triangles.reshape(-1, 3) + np.asarray(centre, float), np.arange(len(mesh.faces) * 3).reshape(-1, 3))
+    return np.array(trimesh.creation.box().triangles).reshape(-1, 3)
 
 
 def plate(part: str, corners: ArrayLike) -> Piece:
