@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 import torch
 from pydantic import Field
 from torch import Tensor
@@ -92,7 +93,7 @@ def pid_reset(gains: PidGains, output: Tensor) -> PidState:
     The first step has no derivative. In position form it returns `output` itself, whatever the error: the integral absorbs the difference
     (permanently if ki is 0). In incremental form it moves from `output` by the proportional and integral parts.
     """
-    output = output.expand(torch.broadcast_shapes(output.shape, gains.kp.shape))
+    output = output.expand(np.broadcast_shapes(output.shape, gains.kp.shape))  # torch.broadcast_shapes would import sympy
     zero = torch.zeros_like(output)
     return PidState(zero, zero, zero, output, torch.zeros_like(output, dtype=torch.bool))
 

@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, max_pool2d
@@ -59,7 +60,7 @@ def ssim(a: Tensor, b: Tensor, radius: float, data_range: float) -> Tensor:
     """
     if radius <= 0 or data_range <= 0:
         raise LuxloopError(f"SSIM needs a positive radius and data_range, got {radius} and {data_range}")
-    a = a.expand(torch.broadcast_shapes(a.shape, b.shape))
+    a = a.expand(np.broadcast_shapes(a.shape, b.shape))  # torch.broadcast_shapes would import sympy
     mean_a, mean_aa, mean_ab = gaussian(torch.stack([a, a * a, a * b]), radius)
     mean_b, mean_bb = gaussian(torch.stack([b, b * b]), radius)
     covariance = mean_ab - mean_a * mean_b

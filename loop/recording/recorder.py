@@ -46,7 +46,7 @@ class Tally:
             list[float](),
         )
         self._exposures, self._images = set[int](), list[int]()  # numbers of exposures, and of frames with an image
-        self._written = schema(simulation).empty_table()
+        self._written = pa.Table.from_batches([], schema(simulation))
         self._fresh: list[dict[str, Any]] = []
 
     def add(self, result: Evaluation) -> dict[str, Any]:

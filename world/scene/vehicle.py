@@ -14,6 +14,7 @@ from itertools import pairwise, takewhile
 from typing import Annotated, Final, Self
 
 import numpy as np
+import scipy  # loads its parts on first use
 import torch
 from pydantic import AfterValidator, Field
 from torch import Tensor
@@ -334,31 +335,35 @@ class _Mode:
     def follows(self, base: Floats, known: Floats | None) -> Floats:
         """Position of the mass for a base motion `[N]`."""
         omega = 2 * math.pi * self.rate_hz
-        return self._response([2 * self.damping * omega, omega**2], base, known)
+        return self._response((2 * self.damping * omega, omega**2), base, known)
 
     def answers(self, base: Floats, load: Floats, known: Floats | None) -> Floats:
         """Position for a base motion and a load, both `[N]`; a constant load deflects the mass by the load's value."""
         omega = 2 * math.pi * self.rate_hz
-        return self.follows(base, known) + self._response([omega**2], load, None if known is None else 0 * known)
+        return self.follows(base, known) + self._response((0.0, omega**2), load, None if known is None else 0 * known)
 
-    def _response(self, numerator: list[float], values: Floats, known: Floats | None) -> Floats:
-        from scipy.signal import lfilter, lfilter_zi, lfiltic  # takes a fifth of a command's start, and only moving vehicles need it
-
-        omega = 2 * math.pi * self.rate_hz
-        b, a = _filter(tuple(numerator), (1.0, 2 * self.damping * omega, omega**2), self.dt)
-        if known is None:
-            return np.asarray(lfilter(b, a, values, zi=lfilter_zi(b, a) * values[0])[0], np.float64)
-        went_on = lfilter(b, a, values[2:], zi=lfiltic(b, a, known[::-1], values[1::-1]))[0]
-        return np.concatenate([known, np.asarray(went_on, np.float64)])
+    def _response(self, numerator: tuple[float, float], values: Floats, known: Floats | None) -> Floats:
+        """Solves `y_k + a_1 y_(k-1) + a_2 y_(k-2) = b_0 u_k + b_1 u_(k-1) + b_2 u_(k-2)` of inputs u `[N]` for y `[N]`."""
+        if known is None:  # in equilibrium before
+            return self._response(numerator, np.concatenate([values[[0, 0]], values]), values[[0, 0]])[2:]
+        b, a = _recursion(numerator, 2 * math.pi * self.rate_hz, self.damping, self.dt)
+        right = np.convolve(values, b)[: len(values)]
+        right[:2] = known[0], known[1] + a[1] * known[0]
+        bands = np.asfortranarray(np.broadcast_to(a[:, None], (3, len(values))))
+        return np.asarray(scipy.linalg.blas.dtbsv(2, bands, right, lower=1, diag=1), np.float64)
 
 
 @lru_cache(maxsize=16)
-def _filter(numerator: tuple[float, ...], denominator: tuple[float, ...], dt: float) -> tuple[Floats, Floats]:
-    """Coefficients of a linear system whose input changes linearly from value to value."""
-    from scipy.signal import cont2discrete
-
-    b, a, _ = cont2discrete((numerator, denominator), dt, method="foh")
-    return np.ravel(b), a
+def _recursion(numerator: tuple[float, float], omega: float, damping: float, dt: float) -> tuple[Floats, Floats]:
+    """b and a, `[3]` each, of `(n_1 s + n_0) / (s^2 + 2 damping omega s + omega^2)` for inputs that change linearly in each interval."""
+    system = np.zeros((4, 4))  # of the state [2], the input and its change in an interval
+    system[:2] = [[-2 * damping * omega * dt, -(omega**2) * dt, dt, 0], [dt, 0, 0, 0]]
+    system[2, 3] = 1
+    step = torch.linalg.matrix_exp(torch.from_numpy(system)).numpy()
+    A, held, rising = step[:2, :2], step[:2, 2], step[:2, 3]
+    a = np.array([1, -np.trace(A), np.linalg.det(A)])
+    states = np.stack([rising, A @ rising + held - rising, A @ (A @ rising + held - rising)])  # after an input of 1, 0, 0
+    return np.convolve(states @ numerator, a)[:3], a
 
 
 def _integral(values: Floats, dt: float) -> Floats:

@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 
+import scipy  # loads its parts on first use
 import torch
-from scipy.linalg import solveh_banded
 from torch import Tensor
 from torch.nn.functional import pad
 
@@ -33,7 +33,7 @@ def solve(band: Tensor, right: Tensor) -> Tensor:
     """The `x [n]` with `A x = right [n]` of a positive definite band matrix A."""
     if band.device.type != "cpu":
         return solve_whole(whole(band), right)
-    return torch.from_numpy(solveh_banded(band.numpy(), right.numpy(), lower=True, check_finite=False))
+    return torch.from_numpy(scipy.linalg.solveh_banded(band.numpy(), right.numpy(), lower=True, check_finite=False))
 
 
 def solve_whole(matrix: Tensor, right: Tensor) -> Tensor:
