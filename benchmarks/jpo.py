@@ -18,7 +18,7 @@ from torch import Tensor
 from luxloop.controllers.pixels.jpo_part import PixelGoal, pixel_goal
 from luxloop.controllers.pixels.jpo_solvers import least_error, least_squares
 from luxloop.controllers.pixels.mrpc import reduce_setpoints
-from luxloop.controllers.pixels.pixel_major import MrpcParams, PixelMajor, pixel_major
+from luxloop.controllers.pixels.pixel_major import MrpcParams, PixelMajor
 from luxloop.controllers.pixels.primitives import I_V
 from luxloop.controllers.pixels.rthc import Setpoints
 from luxloop.controllers.pixels.windows import whole
@@ -46,7 +46,7 @@ def ways(light: Headlight, good: dict[str, MrpcParams], budgets: Sequence[int]) 
 
     return {
         START: lambda goal, _: goal.start,
-        **{name: partial(ssc, light, pixel_major(light, params), params) for name, params in good.items()},
+        **{name: partial(ssc, light, PixelMajor(light, params), params) for name, params in good.items()},
         "joint, least squares, converged": lambda goal, _: least_squares(light.matrix, goal),
         **{f"joint, MAE, {budget} iterations": joint(budget) for budget in budgets},
         CONVERGED: joint(20_000, 0.005),
@@ -57,7 +57,7 @@ def compare(given: Namespace, name: str) -> dict[str, dict[str, Any]]:
     """A row for each way to draw every n-th rectangle; prints them."""
     light, params = lamp(name).modules[0].headlight, MrpcParams()
     good = {way: MrpcParams(**each) for way, each in given.good[name].items()}
-    tables, all_ways, gaps = pixel_major(light, params), ways(light, good, given.budgets), []
+    tables, all_ways, gaps = PixelMajor(light, params), ways(light, good, given.budgets), []
     errors, times = ({way: [] for way in all_ways} for _ in range(2))
     for rectangle in RECTANGLES[given.every // 2 :: given.every]:
         texture = rectangle.texture(light)

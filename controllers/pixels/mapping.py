@@ -47,14 +47,14 @@ class Band:
             return cls(slice(0, 0), slice(0, 0))
         if (w.v_start, w.v_stop) == (0, grid.rows):
             return cls(slice(0, grid.n_pixels), slice(0, grid.rows))
-        low, high = span_of(pixels.pixel_first, pixels.pixel_last, slice(w.v_start, w.v_stop))
+        low, high = span_of(*pixels.pixels_of_rows, slice(w.v_start, w.v_stop))
         first = min(low, grid.n_pixels)
         band = slice(first, max(high + 1, first))
         if band.stop - band.start > MOST * grid.n_pixels:
             return cls(slice(0, grid.n_pixels), slice(0, grid.rows))
         if band.stop == band.start:
             return cls(band, slice(w.v_start, w.v_stop))
-        low, high = span_of(pixels.row_first, pixels.row_last, band)
+        low, high = span_of(*pixels.rows_of_pixels, band)
         return cls(band, slice(min(low, w.v_start), max(high + 1, w.v_stop)))
 
     def blank(self, like: Tensor, batch: tuple[int, ...], grid: TexelGrid, filled: float) -> Tensor:

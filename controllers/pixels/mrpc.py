@@ -15,8 +15,7 @@ from luxloop.controllers.pixels.pixel_major import MrpcParams, PixelMajor
 from luxloop.controllers.pixels.primitives import E_V, I_V, U_REL
 from luxloop.controllers.pixels.rthc import RayBatch, Setpoints
 from luxloop.world.errors import LuxloopError
-from luxloop.world.headlight import Headlight
-from luxloop.world.spmv import multiply, row_of_entries
+from luxloop.world.spmv import multiply
 
 FAINT = 1e-6  # least share of a setpoint after a correction, so that a lit setpoint stays lit
 
@@ -158,13 +157,3 @@ def limit_power(u: Tensor, power: Tensor | float, limit: float | Tensor) -> tupl
     total = (u * power).sum(-1)
     factor = torch.where(total > limit, limit / torch.where(total > 0, total, 1.0), 1.0)
     return u * factor[..., None], factor
-
-
-def pixel_flux(headlight: Headlight) -> Tensor:
-    """Luminous flux in lm of each pixel at full utilisation, `[n_p]`; proportional to power if all LEDs are equally efficient."""
-    y, z = headlight.tangents(headlight.matrix.values.dtype, headlight.matrix.values.device)
-    plane = (headlight.left - headlight.right) * (headlight.top - headlight.bottom) / headlight.n_texels
-    solid_angle = plane / (1 + y * y + z[:, None] ** 2) ** 1.5
-    entries = headlight.matrix.transpose
-    flux = entries.values * solid_angle.flatten()[entries.indices.long()]
-    return flux.new_zeros(headlight.n_pixels).index_add(0, row_of_entries(entries), flux)

@@ -1,9 +1,9 @@
 """Pixel-major tables of a headlight for MRPC, independent of setpoints (T 7.4)."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import Literal
 
 import torch
@@ -51,110 +51,138 @@ class MrpcParams(Params):
 
 
 LEAST = 1e-16  # of a pixel's greatest I_m^a_r: least weight that sums can resolve, since a mask must act on any light
-Reduce = Callable[[Tensor, str], Tensor]  # values `[nnz]` of entries, not below zero, and sum or amax
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PixelMajor:
-    """Tables of a headlight for MRPC, pixel-major.
-
-    entries: `[n_p, n_t]`, I_m,ij. full: the same with `I_m^a_r / sum_i I_m^a_r`, rows add up to one. kept: `[nnz]`, weights `I_m^a_r`
-    without entries dropped by exclusion or sampling, a pixel's adding up to one. weight: `[n_p, n_t]`, those that are not zero. share:
-    `[n_t]`, factor from intensity to the utilisation of all pixels of the texel; potential: `[nnz]`, the factor by which an entry's
-    differs, None where it is one. total: `[n_t]`, cd with all pixels full. darkening: `[n_t]` (T eq. 7.4.2). least_lit: `[n_p]`, how many
-    of a pixel's setpoints have to be lit for its share to be a_ac. idle: `[n_p]`, pixels without weighted entries, None if there are none.
-    ones: the pattern of entries. peak: `[n_p]`, greatest I_m,ij. spread: standard deviation of a pixel's light in rows and columns, 0 where
-    unused. pixel_first, pixel_last: `[rows]`, pixels with a texel in that texture row. row_first, row_last: `[n_p]`, texture rows of that
-    pixel.
-    """
+    """Tables of a headlight for parameters of MRPC, pixel-major, each computed on first use."""
 
     grid: Headlight
-    entries: Csr
-    full: Csr
-    kept: Tensor
-    weight: Csr
-    share: Tensor
-    potential: Tensor | None
-    total: Tensor
-    darkening: Tensor | None
-    least_lit: Tensor
-    idle: Tensor | None
-    ones: Csr
-    peak: Tensor
-    spread: tuple[float, float]
-    pixel_first: Tensor
-    pixel_last: Tensor
-    row_first: Tensor
-    row_last: Tensor
+    params: MrpcParams
 
+    @cached_property
+    def entries(self) -> Csr:
+        """I_m,ij `[n_p, n_t]` in cd."""
+        entries, params = self.grid.matrix.transpose, self.params
+        return rectangular(entries, self.grid, params.a_x or 0.5) if params.shape == "rectangle" else entries
 
-def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
-    """The tables of a headlight for parameters of MRPC: the weights of T eq. 7.4.5 with the exclusion of T eq. 7.4.3."""
-    entries = headlight.matrix.transpose
-    if params.shape == "rectangle":
-        entries = rectangular(entries, headlight, params.a_x or 0.5)
-    pixel, texel, I_m = row_of_entries(entries), entries.indices.long(), entries.values
+    @cached_property
+    def ones(self) -> Csr:
+        """The pattern of the entries."""
+        return self.entries.with_values(torch.ones_like(self.entries.values))
 
-    def of_pixels(values: Tensor, reduction: str) -> Tensor:
-        return torch.segment_reduce(values, reduction.removeprefix("a"), offsets=entries.indptr, initial=0)  # 0 of a pixel without any
+    @cached_property
+    def peak(self) -> Tensor:
+        """I_m,j `[n_p]`, the greatest I_m,ij of each pixel."""
+        return self._of_pixels(self.entries.values, "max")
 
-    def of_texels(values: Tensor, reduction: str) -> Tensor:
-        return values.new_zeros(entries.n_cols).scatter_reduce(0, texel, values, reduction, include_self=False)
+    @cached_property
+    def total(self) -> Tensor:
+        """I_m,sum,i `[n_t]` in cd, with all pixels full."""
+        return self._of_texels(self.entries.values, "sum")
 
-    peak, total = of_pixels(I_m, "amax"), of_texels(I_m, "sum")  # I_m,j [n_p] and I_m,sum,i [n_t]
-    raised = ((I_m / peak[pixel]) ** params.a_r).clamp(min=LEAST)  # (I_m,ij / I_m,j)^a_r [nnz]
-    full = entries.with_values(raised / of_pixels(raised, "sum")[pixel])  # T eq. 7.4.5 with unit weights, [nnz]
-    chosen = raised * sample_weights(entries, headlight, params.sampling)
-    if params.exclusion == "capability" and params.a_x and params.shape == "arbitrary":
-        chosen = torch.where(I_m < params.a_x * peak[pixel], 0.0, chosen)  # T eq. 7.4.3 on the capability
-    counted = of_pixels(chosen, "sum")
-    idle = counted == 0
-    kept = chosen / torch.where(idle, 1.0, counted)[pixel]
-    share, potential = _mapping(params, entries, pixel, total, of_pixels, of_texels)
-    darkening = None
-    if params.a_d is not None:
-        mean = total[total > 0].double().mean().to(total)  # in float64, since the order of summation depends on threads
-        darkening = (total / (mean * params.a_d)).clamp(max=1)  # T eq. 7.4.2
-    rows, reached = texel // headlight.cols, of_pixels(torch.ones_like(I_m), "sum")
-    # In whole numbers, since no product of floats tells 7 of 25 texels from a share of 0.28; str gives the decimal that was written.
-    sizes, size_of_pixel = reached.unique(return_inverse=True)
-    least_lit = reached.new_tensor([math.ceil(Fraction(str(params.a_ac)) * int(size)) for size in sizes.tolist()])[size_of_pixel]
-    return PixelMajor(
-        headlight,
-        entries,
-        full,
-        kept,
-        full if bool((kept == full.values).all()) else Csr.from_scipy(entries.with_values(kept).to_scipy(), kept.dtype).to(kept.device),
-        share,
-        potential,
-        total,
-        darkening,
-        least_lit,
-        idle if bool(idle.any()) else None,
-        entries.with_values(torch.ones_like(I_m)),
-        peak,
-        pixel_spread(entries, headlight) if params.sharpening else (0.0, 0.0),
-        *segment_bounds(rows, pixel, headlight.rows),
-        *segment_bounds(pixel, rows, headlight.n_pixels),
-    )
+    @cached_property
+    def full(self) -> Csr:
+        """`I_m^a_r / sum_i I_m^a_r` `[n_p, n_t]`, T eq. 7.4.5 with unit weights: rows add up to one."""
+        raised = self._raised()
+        return self.entries.with_values(raised / self._of_pixels(raised, "sum")[self._pixel()])
 
+    @cached_property
+    def kept(self) -> Tensor:
+        """Weights `I_m^a_r` `[nnz]` without entries dropped by sampling or by the exclusion of T eq. 7.4.3; a pixel's add up to one."""
+        params = self.params
+        excludes = params.exclusion == "capability" and params.a_x and params.shape == "arbitrary"
+        if params.sampling == "all" and not excludes:
+            return self.full.values
+        pixel, I_m = self._pixel(), self.entries.values
+        chosen = self._raised() * sample_weights(self.entries, self.grid, params.sampling)
+        if excludes:
+            chosen = torch.where(I_m < params.a_x * self.peak[pixel], 0.0, chosen)  # T eq. 7.4.3 on the capability
+        counted = self._of_pixels(chosen, "sum")
+        kept = chosen / torch.where(counted == 0, 1.0, counted)[pixel]
+        return self.full.values if bool((kept == self.full.values).all()) else kept
 
-def _mapping(
-    params: MrpcParams, entries: Csr, pixel: Tensor, total: Tensor, of_pixels: Reduce, of_texels: Reduce
-) -> tuple[Tensor, Tensor | None]:
-    """share `[n_t]` and potential `[nnz]` of T eq. 7.4.1, or of the direct or maximal mapping. total: `[n_t]`, sum_j I_m,ij.
+    @cached_property
+    def weight(self) -> Csr:
+        """Those of `kept` that are not zero, `[n_p, n_t]`."""
+        if self.kept is self.full.values:
+            return self.full
+        return Csr.from_scipy(self.entries.with_values(self.kept).to_scipy(), self.kept.dtype).to(self.kept.device)
 
-    The mapped utilisation is `I_s,ij / I_m,ij = I_m,ij^(a_m - 1) / sum_j I_m,ij^a_m * I_s,i`, the product of potential, share and I_s,i.
-    """
-    I_m = entries.values
-    if params.mapping == "direct":
-        return torch.ones(entries.n_cols, dtype=I_m.dtype, device=I_m.device), 1 / I_m
-    if params.mapping == "maximal":
-        strongest = of_texels(I_m, "amax")
-        return torch.where(strongest > 0, 1 / strongest, 0.0), None
-    sum_of_potentials, potential = total, None
-    if params.a_m != 1 or params.granularity != 0:
-        fine = (of_pixels(I_m, "sum") / of_pixels(I_m, "amax"))[pixel] ** -params.granularity  # a pixel's size in texels
-        relative = (I_m / of_texels(I_m, "amax")[entries.indices.long()]) ** (params.a_m - 1)
-        sum_of_potentials, potential = of_texels(I_m * relative * fine, "sum"), relative * fine
-    return torch.where(sum_of_potentials > 0, 1 / sum_of_potentials, 0.0), potential
+    @cached_property
+    def idle(self) -> Tensor | None:
+        """Pixels without weighted entries, `[n_p]` bool, None if there are none."""
+        idle = self._of_pixels(self.kept, "sum") == 0
+        return idle if bool(idle.any()) else None
+
+    @cached_property
+    def least_lit(self) -> Tensor:
+        """How many of a pixel's setpoints have to be lit for its share to be a_ac, `[n_p]`."""
+        # In whole numbers, since no product of floats tells 7 of 25 texels from a share of 0.28; str gives the decimal that was written.
+        sizes, size_of_pixel = self.entries.indptr.diff().unique(return_inverse=True)
+        least = [math.ceil(Fraction(str(self.params.a_ac)) * size) for size in sizes.tolist()]
+        return self.entries.values.new_tensor(least)[size_of_pixel]
+
+    @cached_property
+    def darkening(self) -> Tensor | None:
+        """Edge darkening `[n_t]` (T eq. 7.4.2), None without."""
+        if self.params.a_d is None:
+            return None
+        mean = self.total[self.total > 0].double().mean().to(self.total)  # in float64, since the order of summation depends on threads
+        return (self.total / (mean * self.params.a_d)).clamp(max=1)
+
+    @cached_property
+    def share(self) -> Tensor:
+        """Factor `[n_t]` from intensity to the utilisation of all pixels of the texel; see `potential`."""
+        if self.params.mapping == "direct":
+            return torch.ones_like(self.total)
+        if self.params.mapping == "maximal":
+            sums = self._of_texels(self.entries.values, "amax")
+        else:
+            sums = self.total if self.potential is None else self._of_texels(self.entries.values * self.potential, "sum")
+        return torch.where(sums > 0, 1 / sums, 0.0)
+
+    @cached_property
+    def potential(self) -> Tensor | None:
+        """Factor `[nnz]` by which an entry's mapping differs from its texel's share, None where it is one.
+
+        The mapped utilisation is `I_s,ij / I_m,ij = I_m,ij^(a_m - 1) / sum_j I_m,ij^a_m * I_s,i` (T eq. 7.4.1), the product of potential,
+        share and I_s,i.
+        """
+        params, I_m = self.params, self.entries.values
+        if params.mapping == "direct":
+            return 1 / I_m
+        if params.mapping == "maximal" or (params.a_m == 1 and params.granularity == 0):
+            return None
+        fine = (self._of_pixels(I_m, "sum") / self.peak)[self._pixel()] ** -params.granularity  # a pixel's size in texels
+        return (I_m / self._of_texels(I_m, "amax")[self.entries.indices.long()]) ** (params.a_m - 1) * fine
+
+    @cached_property
+    def spread(self) -> tuple[float, float]:
+        """Standard deviation of a pixel's light in rows and columns of texels."""
+        return pixel_spread(self.entries, self.grid)
+
+    @cached_property
+    def pixels_of_rows(self) -> tuple[Tensor, Tensor]:
+        """First and last pixel with a texel in each row of texels, `[rows]` each."""
+        return segment_bounds(self.entries.indices // self.grid.cols, self._pixel(), self.grid.rows)
+
+    @cached_property
+    def rows_of_pixels(self) -> tuple[Tensor, Tensor]:
+        """First and last row of texels of each pixel, `[n_p]` each."""
+        return segment_bounds(self._pixel(), self.entries.indices // self.grid.cols, self.grid.n_pixels)
+
+    def _raised(self) -> Tensor:
+        """`(I_m,ij / I_m,j)^a_r` `[nnz]`."""
+        return ((self.entries.values / self.peak[self._pixel()]) ** self.params.a_r).clamp(min=LEAST)
+
+    def _pixel(self) -> Tensor:
+        return row_of_entries(self.entries)
+
+    def _of_pixels(self, values: Tensor, reduction: str) -> Tensor:
+        """Sum or maximum `[n_p]` of entries `[nnz]`, 0 of a pixel without any."""
+        return torch.segment_reduce(values, reduction, offsets=self.entries.indptr, initial=0)
+
+    def _of_texels(self, values: Tensor, reduction: str) -> Tensor:
+        texel = self.entries.indices.long()
+        return values.new_zeros(self.entries.n_cols).scatter_reduce(0, texel, values, reduction, include_self=False)

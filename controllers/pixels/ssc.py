@@ -12,7 +12,7 @@ from torch import Tensor
 
 from luxloop.controllers.pixels.mapping import Band, stroke_light
 from luxloop.controllers.pixels.mrpc import reduce_setpoints, same_for_all_pixels
-from luxloop.controllers.pixels.pixel_major import MrpcParams, PixelMajor, pixel_major
+from luxloop.controllers.pixels.pixel_major import MrpcParams, PixelMajor
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.rthc import RayBatch, Setpoints, masks
 from luxloop.controllers.pixels.secondary import SecondaryRays
@@ -57,10 +57,16 @@ class PixelController(Protocol):
 class Ssc:
     """RTHC and MRPC for one headlight; default: `[n_p]`, the base pattern's utilisation."""
 
-    headlight: Headlight
     pixels: PixelMajor
-    params: MrpcParams
     default: Tensor
+
+    @property
+    def headlight(self) -> Headlight:
+        return self.pixels.grid
+
+    @property
+    def params(self) -> MrpcParams:
+        return self.pixels.params
 
     @cached_property
     def dark(self) -> bool:
@@ -69,11 +75,10 @@ class Ssc:
 
     @classmethod
     def prepare(cls, headlight: Headlight, params: MrpcParams | None = None, default: Tensor | None = None) -> "Ssc":
-        """Compute the pixel-major tables once. default: base pattern `[n_p]`, by default dark."""
-        params = params or MrpcParams()
+        """default: base pattern `[n_p]`, by default dark."""
         values = headlight.matrix.values
         default = torch.zeros(headlight.n_pixels, dtype=values.dtype, device=values.device) if default is None else default
-        return cls(headlight, pixel_major(headlight, params), params, default)
+        return cls(PixelMajor(headlight, params or MrpcParams()), default)
 
     def utilisation(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Utilisation:
         """Utilisation `[..., n_p]`. A single scene on the CPU uses only the projected windows and their band of pixels, others all rays.

@@ -9,14 +9,12 @@ from torch import Tensor
 from luxloop.controllers.functions.base_beams import RawParams
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
 from luxloop.controllers.pixels.jpo import Jpo, JpoParams
-from luxloop.controllers.pixels.morphing import Morphing
-from luxloop.controllers.pixels.mrpc import pixel_flux
 from luxloop.controllers.pixels.pixel_major import MrpcParams
 from luxloop.controllers.pixels.primitives import names_module
 from luxloop.controllers.pixels.ssc import PixelController, Ssc
 from luxloop.loop.scenario.model import HeadlightParams, Scenario
 from luxloop.loop.scenario.shipped import find_file
-from luxloop.loop.simulation.lamps import MountedModule, ShiningModule
+from luxloop.loop.simulation.lamps import Beams, MountedModule, ShiningModule
 from luxloop.loop.simulation.part_cache import PartCache
 from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError, locate
@@ -77,25 +75,15 @@ def shining_module(scenario: Scenario, module: MountedModule, cache: PartCache) 
     """A module with its pixel controller and beams. Raises LuxloopError for a missing or broken file of raw utilisations, or a user's
     pixel controller that cannot be made.
     """
-    light, name, lighting = module.headlight, module.name, scenario.lighting
-    flux = cache(f"{name}: flux", pixel_flux, light)
-    raw = cache(f"{name}: raw", _raw, lighting.raw, name, light)
-
-    def morphing(lamp: Lamp, number: int, beam: str, *_: Any) -> Morphing:
-        return Morphing(light, lamp.beam(beam)[number].to(flux))
-
-    names, of_lamp = lighting.base.names if raw is None else (), (module.lamp, module.number)
-    beams: dict[str, Morphing] = {beam: cache(f"{name}: {beam} beam", morphing, *of_lamp, beam, light, flux) for beam in names}
+    light, name = module.headlight, module.name
+    raw = cache(f"{name}: raw", _raw, scenario.lighting.raw, name, light)
+    beams = cache(f"{name}: beams", Beams, module.lamp, module.number, light)
     controller = cache(f"{name}: pixel controller", pixel_controller, light, scenario.pixel_controller, scenario.ssc, scenario.jpo)
-    if (lasting := beams.get(lighting.base.beam)) is not None:  # None for a beam chosen by the situation
-        controller = cache(
-            f"{name}: pixel controller over its beam", lambda controller, beam: controller.over(beam), controller, lasting.beam
-        )
 
-    def shining(*_: Any) -> ShiningModule:
-        return ShiningModule(**vars(module), controller=controller, flux=flux, flux_lm=float(flux.sum()), beams=beams, raw=raw)
+    def shining(mount: MountedModule, *parts: Any) -> ShiningModule:
+        return ShiningModule(*vars(mount).values(), *parts)
 
-    return cache(f"{name}: module", shining, module, controller, flux, beams, raw)
+    return cache(f"{name}: module", shining, module, controller, beams, raw)
 
 
 def _raw(given: Sequence[RawParams], module: str, headlight: Headlight) -> RawUtilisation | None:

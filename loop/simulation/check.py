@@ -54,7 +54,7 @@ def _lighting(scenario: Scenario, modules: Modules) -> Sentences:
             yield f"{' and '.join(own_raw[:2])} both apply to module {module.name!r}; name the modules of each in its modules"
         for beam in () if own_raw else lighting.base.names:
             try:
-                module.lamp.beam(beam)
+                module.lamp.require_beam(beam)
             except LuxloopError as error:
                 yield f'lighting.base.beam: {error}; write beam = "full" for all pixels on'
 

@@ -49,19 +49,38 @@ class MountedModule:
         return f"{self.side} {self.lamp.modules[self.number].name}"
 
 
+class Beams(dict[str, Morphing]):
+    """Beams of a lamp's module by name, each made on first use, as a fit takes half a second. Raises LuxloopError for an unknown beam."""
+
+    def __init__(self, lamp: Lamp, number: int, headlight: Headlight) -> None:
+        self._lamp, self._number, self._headlight = lamp, number, headlight
+
+    def __missing__(self, name: str) -> Morphing:
+        beam = self._lamp.beam(name)[self._number].to(self._headlight.matrix.values)
+        return self.setdefault(name, Morphing(self._headlight, beam))
+
+
 @dataclass(frozen=True, eq=False)
 class ShiningModule(MountedModule):
-    """A module with its pixel controller. flux: `[n_p]` lm at full utilisation, also the measure of power. flux_lm: sum of flux.
+    """A module with its pixel controller. beams: digital movement of the lamp's beams. raw: what it shows in place of a base beam.
 
-    beams: the scenario's possible base beams by name, empty for raw utilisations. intensity: commanded dimming, 0..1.
+    intensity: commanded dimming, 0..1.
     """
 
     controller: PixelController
-    flux: Tensor
-    flux_lm: float
-    beams: Mapping[str, Morphing]
+    beams: Beams
     raw: RawUtilisation | None = None
     intensity: float = 1.0
+
+    @property
+    def flux(self) -> Tensor:
+        """Luminous flux in lm of each pixel at full utilisation, `[n_p]`, also the measure of power."""
+        return self.headlight.pixel_flux
+
+    @property
+    def flux_lm(self) -> float:
+        """Luminous flux at full utilisation."""
+        return float(self.flux.sum())
 
     def under(self, command: ModuleCommand) -> "ShiningModule":
         """The module turned and dimmed by a command."""
@@ -69,16 +88,17 @@ class ShiningModule(MountedModule):
 
     def beam(self, name: str) -> Tensor:
         """Utilisation `[n_p]` of a lamp's beam. Raises LuxloopError for an unknown beam."""
-        return self.lamp.beam(name)[self.number].to(self.flux)
+        return self.beams[name].beam
 
     def showing(self, beam: str) -> "ShiningModule":
         """The module with this base beam alone. Raises LuxloopError for an unknown beam."""
-        return replace(self, beams={beam: Morphing(self.headlight, self.beam(beam))}, raw=None)
+        self.lamp.require_beam(beam)
+        return replace(self, raw=None)
 
     def base(self, plan: Plan) -> Tensor:
         """Utilisation `[n_p]` below all functions: raw, else the base beam, morphed and dimmed."""
         if self.raw is not None:
-            return self.raw.at(plan.time_s).to(self.flux)
+            return self.raw.at(plan.time_s).to(self.headlight.matrix.values)
         beam = plan.base
         moved = self.beams[beam.name]
         shown = moved.beam if beam == BaseBeam(beam.name, share=beam.share) else moved.utilisation(beam.morph)

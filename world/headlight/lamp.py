@@ -12,6 +12,7 @@ from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
 
 Range = tuple[float, float]
+ALWAYS = ("full", "off")  # beams of every lamp
 _MIRROR = torch.diag(torch.tensor([1.0, -1.0, 1.0, 1.0], dtype=torch.float64))
 
 
@@ -126,13 +127,17 @@ class Lamp:
         return "low" if "low" in self.beams else "full"
 
     def beam(self, name: str) -> tuple[Tensor, ...]:
-        """Utilisations of a beam by name, or of `full` (all pixels on) and `off`. Raises LuxloopError that lists the beams."""
-        if name in ("full", "off"):
+        """Utilisations of a beam by name, or of `full` (all pixels on) and `off`. Raises as `require_beam`."""
+        self.require_beam(name)
+        if name in ALWAYS:
             share = float(name == "full")
             return tuple(torch.full((module.headlight.n_pixels,), share) for module in self.modules)
-        if name not in self.beams:
-            raise LuxloopError(f"lamp {self.name!r} has no beam {name!r}; it has {', '.join([*self.beams, 'full', 'off'])}")
         return self.beams[name]
+
+    def require_beam(self, name: str) -> None:
+        """Raises LuxloopError that lists the beams if there is none of that name."""
+        if name not in self.beams and name not in ALWAYS:
+            raise LuxloopError(f"lamp {self.name!r} has no beam {name!r}; it has {', '.join([*self.beams, *ALWAYS])}")
 
     def lit(self, utilisations: Sequence[Tensor]) -> Callable[[Tensor], Tensor]:
         """The lamp's far-field intensity for fixed utilisations, one per module, as a function of directions like `intensity`."""

@@ -72,6 +72,15 @@ class Headlight(TexelGrid):
         return _lit(self._pixel_cols_of_cols, pixel_cols)
 
     @cached_property
+    def pixel_flux(self) -> Tensor:
+        """Luminous flux in lm of each pixel at full utilisation, `[n_p]`; proportional to power if all LEDs are equally efficient."""
+        y, z = self.tangents(self.matrix.values.dtype, self.matrix.values.device)
+        plane = (self.left - self.right) * (self.top - self.bottom) / self.n_texels
+        solid_angle = plane / (1 + y * y + z[:, None] ** 2) ** 1.5
+        flux = solid_angle.flatten().cpu().numpy() @ self.matrix.to_scipy()
+        return torch.from_numpy(flux).to(self.matrix.values)
+
+    @cached_property
     def pixel_extent(self) -> tuple[int, int]:
         """Texels, vertical and horizontal, in which the middle pixel's light exceeds a tenth of its peak."""
         only = torch.zeros(self.n_pixels).to(self.matrix.values)

@@ -17,7 +17,7 @@ from luxloop.world.arrays import Arrays, read_npz, write_npz
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import afford, installed_version, reading, whole
 from luxloop.world.headlight import Headlight
-from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.headlight.lamp import ALWAYS, Lamp, Module
 from luxloop.world.params import ModuleName, Params
 from luxloop.world.spmv import Csr
 from luxloop.world.validation import sentences
@@ -25,7 +25,6 @@ from luxloop.world.validation import sentences
 FORMAT: Final = "luxloop lamp"
 VERSION: Final = 1
 WRITER = "`luxloop headlight build` writes it"
-ALWAYS = ("full", "off")  # beams of every lamp
 BYTES_A_PLACE = 16  # of a pixel or texel, in the matrix' row pointers, textures and utilisations
 RIGID = 1e-6  # tolerance of rotation matrices
 

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from torch import Tensor
 
 from luxloop.controllers.pixels.mrpc import FAINT, reduce_setpoints
-from luxloop.controllers.pixels.pixel_major import MrpcParams, pixel_major
+from luxloop.controllers.pixels.pixel_major import MrpcParams, PixelMajor
 from luxloop.controllers.pixels.primitives import I_V, QUANTITIES, Quantity
 from luxloop.controllers.pixels.rthc import Setpoints
 from luxloop.controllers.pixels.windows import whole
@@ -64,7 +64,7 @@ def rays(setpoints: Setpoints) -> list[reference.Ray]:
 
 
 def reduced(setpoints: Setpoints, lamp: Headlight, params: MrpcParams, default: Tensor) -> tuple[Tensor, slice]:
-    return reduce_setpoints(setpoints, pixel_major(lamp, params), params, default)
+    return reduce_setpoints(setpoints, PixelMajor(lamp, params), params, default)
 
 
 def base_pattern(seed: int) -> Tensor:
@@ -134,7 +134,7 @@ def test_sharpening_raises_edges_and_nothing_else():
     value[:, 20:60] = 20_000
     setpoints = Setpoints(value, (value > 0).float(), whole(lamp), (I_V,))
     dark = torch.zeros(40)
-    plain, sharp = (reduce_setpoints(setpoints, pixel_major(lamp, p), p, dark, True)[0] for p in (MrpcParams(), MrpcParams(sharpening=0.3)))
+    plain, sharp = (reduce_setpoints(setpoints, PixelMajor(lamp, p), p, dark, True)[0] for p in (MrpcParams(), MrpcParams(sharpening=0.3)))
     assert (sharp[10] / plain[10]).item() > 1.05
     assert torch.equal(sharp[:9], torch.zeros(9))
     # Above and below there is no light either: everywhere the upper and lower rows are edges, the columns' middle is not.
@@ -143,7 +143,7 @@ def test_sharpening_raises_edges_and_nothing_else():
     filled = torch.full((tall.rows, tall.cols), 20_000.0)
     everywhere_lit = Setpoints(filled, torch.ones_like(filled), whole(tall), (I_V,))
     p = MrpcParams(sharpening=0.3)
-    u = reduce_setpoints(everywhere_lit, pixel_major(tall, p), p, torch.zeros(800), True)[0].view(20, 40)
+    u = reduce_setpoints(everywhere_lit, PixelMajor(tall, p), p, torch.zeros(800), True)[0].view(20, 40)
     torch.testing.assert_close(u[5:15, 5:35], torch.full((10, 30), 0.4), rtol=1e-5, atol=0)
 
 
@@ -177,7 +177,7 @@ def test_corrections_leave_masks_dark():
     mask[12:14, 30:34] = 1
     setpoints = Setpoints(value * (1 - mask), torch.ones_like(value), whole(lamp), (I_V,), 1 - mask, mask, masking=True)
     plain, corrected = (
-        reduce_setpoints(setpoints, pixel_major(lamp, p), p, torch.zeros(lamp.n_pixels), dark=True)[0]
+        reduce_setpoints(setpoints, PixelMajor(lamp, p), p, torch.zeros(lamp.n_pixels), dark=True)[0]
         for p in (MrpcParams(), MrpcParams(corrections=2))
     )
     assert (lamp.light_texture(corrected)[mask > 0] == 0).all()

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from luxloop.controllers.pixels.mrpc import reduce_setpoints
-from luxloop.controllers.pixels.pixel_major import MrpcParams, pixel_major
+from luxloop.controllers.pixels.pixel_major import MrpcParams, PixelMajor
 from luxloop.controllers.pixels.primitives import I_V
 from luxloop.controllers.pixels.rthc import Setpoints
 from luxloop.controllers.pixels.windows import whole
@@ -37,7 +37,7 @@ def mean_error(name: str, **options: Any) -> float:
     """Mean of the MAE (T 8.3) over the rectangles."""
     light = lamp(name).modules[0].headlight
     params = MrpcParams(a_x=BEST_A_X[name], **options)
-    pixels, dark = pixel_major(light, params), torch.zeros(light.n_pixels)
+    pixels, dark = PixelMajor(light, params), torch.zeros(light.n_pixels)
     errors = []
     for place in PLACES:
         wanted = rectangle(light, *place)

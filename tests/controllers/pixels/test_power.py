@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from luxloop.controllers.pixels.mrpc import limit_power, pixel_flux
+from luxloop.controllers.pixels.mrpc import limit_power
 from luxloop.world.lamps.presets import idealised
 from tests.refusal import refusal
 
@@ -25,4 +25,4 @@ def test_flux_of_pixels_adds_up_to_the_lamp_s():
     area = (LAMP.left - LAMP.right) * (LAMP.top - LAMP.bottom) / LAMP.n_texels
     light = LAMP.light_texture(torch.ones(LAMP.n_pixels)).double()
     expected = (light * area / (1 + y * y + z[:, None] ** 2) ** 1.5).sum().item()
-    assert pixel_flux(LAMP).sum().item() == pytest.approx(expected, rel=1e-4)
+    assert LAMP.pixel_flux.sum().item() == pytest.approx(expected, rel=1e-4)
