@@ -1,6 +1,7 @@
 """The command that serves the studio."""
 
 import asyncio
+import ctypes
 import os
 import signal
 import socket
@@ -14,6 +15,8 @@ from pathlib import Path
 from typing import Annotated
 
 from luxloop.loop.commands.options import INTERRUPTED, AllowCode, Device, Keys, within
+
+M_ARENA_MAX = -8  # of glibc's malloc
 
 
 def studio(
@@ -51,6 +54,8 @@ def studio(
     from luxloop.loop.studio.server import Studio, Tokens
     from luxloop.loop.studio.sources import Source
 
+    with suppress(AttributeError, OSError):  # another libc
+        ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)  # the simulation's thread would leave 250 MB of holes in an arena of its own
     overrides, files, tokens = tuple(set or ()), page(), Tokens()
     sources = tuple(
         Source("", overrides, Path(name)) if Path(name).is_dir() else Source(name, overrides) for name in (scenario, beside) if name

@@ -108,7 +108,10 @@ class LitScene:
     @cached_property
     def transports(self) -> tuple[LightTransport, ...]:
         """Light transport of each module at rest."""
-        return tuple(self.transported(number, REST) for number in range(len(self.modules)))
+        transports = tuple(self.transported(number, REST) for number in range(len(self.modules)))
+        if not self.direct and self.base is not None and self.surfaces is not self.rendered:
+            del self.rendered  # four times as large; a turned module renders it again
+        return transports
 
     def transported(self, number: int, command: ModuleCommand) -> LightTransport:
         """Light transport of a turned module."""

@@ -236,12 +236,10 @@ class SpottedTexture:
 
     @cached_property
     def _covers(self) -> Callable[[Tensor, Tensor], tuple[Tensor, ...]]:
-        return keeping(1, self._covered_of)  # for albedo and material of the same points
+        return keeping(1, self._covered_of) if self.spots else lambda x, y: ()  # for albedo and material of the same points
 
     def _covered_of(self, x: Tensor, y: Tensor) -> tuple[Tensor, ...]:
         """Indices of the points (x, y) `[N]` on each spot."""
-        if not self.spots:
-            return ()
         x, y = (pad(each, (0, -len(each) % TOGETHER), value=torch.inf).view(-1, TOGETHER) for each in (x, y))
         place, least, most = torch.arange(x.numel()).view_as(x), x.amin(1), x.amax(1)
 

@@ -51,8 +51,8 @@ class GBuffer:
         return self._map(lambda image: image.flatten(-2)[..., None, pixels])
 
     def one_row_of(self, rows: int) -> "GBuffer":
-        """The middle row of every `rows` rows."""
-        return self if rows == 1 else self._map(lambda image: image[..., rows // 2 :: rows, :])
+        """The middle row of every `rows` rows, as a copy."""
+        return self if rows == 1 else self._map(lambda image: image[..., rows // 2 :: rows, :].contiguous())
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> "GBuffer":
         """Apply a function to every image `[..., height, width]`."""

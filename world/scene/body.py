@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from types import EllipsisType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -145,17 +146,21 @@ class Body:
     part_of_face: Tensor | None = None
     spotlights: tuple[Spotlight, ...] = ()
 
-    @cached_property
+    @property
     def corners(self) -> Tensor:
         """Corners of the faces in the body frame, `[F, 3 corners, 3]` float64 m."""
-        return torch.from_numpy(np.array(self.mesh.vertices, dtype=np.float64)[np.asarray(self.mesh.faces)])
+        return self.corners_of(...)
+
+    def corners_of(self, faces: np.ndarray | EllipsisType) -> Tensor:
+        """`corners` of some faces."""
+        return torch.from_numpy(np.asarray(self.mesh.vertices, np.float64)[np.asarray(self.mesh.faces)[faces]])
 
     @cached_property
     def bounds(self) -> Tensor:
         """Lowest and highest coordinates in the body frame, `[2, 3]` float64 m."""
         return torch.stack(self.corners.flatten(0, 1).aminmax(dim=0))
 
-    @cached_property
+    @property
     def corner_normals(self) -> Tensor:
         """Unit normals at the corners in the body frame, `[F, 3 corners, 3]` float64; vertex normals are weighted by angle."""
         if self.smooth:

@@ -53,9 +53,12 @@ def grid_mesh(x: Floats, y: Floats, z: Floats, normals: Floats | None = None) ->
     """Mesh of a grid of vertices `[n_x, n_y]` m. normals: their directions `[n_x, n_y, 3]`, None for those of the faces."""
     import trimesh  # takes a seventh of a command's start, and only views need it
 
-    if normals is not None:
+    vertices, faces = np.stack([x, y, z], axis=-1).reshape(-1, 3), _grid_faces(*x.shape)
+    if normals is None:  # of another mesh, whose intermediate results, 300 bytes a vertex, end with it
+        normals = trimesh.Trimesh(vertices, faces, process=False).vertex_normals
+    else:
         normals = (normals / np.linalg.norm(normals, axis=-1, keepdims=True)).reshape(-1, 3)
-    return trimesh.Trimesh(np.stack([x, y, z], axis=-1).reshape(-1, 3), _grid_faces(*x.shape), vertex_normals=normals, process=False)
+    return trimesh.Trimesh(vertices, faces, vertex_normals=normals, process=False)
 
 
 def _grid_faces(n_x: int, n_y: int) -> NDArray[np.int64]:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from types import EllipsisType
 from typing import Final
 
 import numpy as np
@@ -29,10 +30,14 @@ class Instance:
         """Inverse of `T_world_body`."""
         return inverse(self.T_world_body)
 
-    @cached_property
+    @property
     def corners(self) -> Tensor:
         """Corners of the faces in the world, `[F, 3 corners, 3]` float64 m."""
-        return self.body.corners @ self.T_world_body[:3, :3].T + self.T_world_body[:3, 3]
+        return self.corners_of(...)
+
+    def corners_of(self, faces: np.ndarray | EllipsisType) -> Tensor:
+        """`corners` of some faces."""
+        return self.body.corners_of(faces) @ self.T_world_body[:3, :3].T + self.T_world_body[:3, 3]
 
     @cached_property
     def corner_normals(self) -> Tensor:
@@ -139,7 +144,8 @@ def intersect(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions
             held = hits.barycentric[:, beside].nan_to_num(1.0, 1.0, 0.0).clamp(min=0.0)  # [3 corners, m]
             hits.barycentric[:, beside] = held = held / held.sum(0)
             along = directions[:, hits.pixels[beside]]  # d [3, m]
-            points = torch.einsum("im,mij->jm", held, hits.placed.corners[hits.faces[beside]] - origin)  # p = sum_i w_i corner_i, [3, m]
+            corners = hits.placed.corners_of(hits.faces[beside].numpy()) - origin
+            points = torch.einsum("im,mij->jm", held, corners)  # p = sum_i w_i corner_i, [3, m]
             hits.depth[beside] = (points * along).sum(0) / (along * along).sum(0)  # of the ray's point nearest to p, [m]
         yield hits
 
@@ -155,7 +161,7 @@ def on_planes(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions
         seen[faces] = True
         # A direction d = sum_i w_i corner_i, corners relative to the origin, has w_i = d . edge_i / volume, edge_i being the cross product
         # of the two other corners: w_i are the barycentric coordinates times 1 / depth.
-        a, b, c = (placed.corners[seen] - origin).unbind(1)  # of the S faces that are seen, [S, 3] each
+        a, b, c = (placed.corners_of(seen.numpy()) - origin).unbind(1)  # of the S faces that are seen, [S, 3] each
         edges = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], 1)  # [S, 3 corners, 3]
         volume = (a * edges[:, 0]).sum(-1)  # triple product a (b x c), [S]
         compact = torch.cumsum(seen, 0) - 1
