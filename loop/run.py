@@ -31,8 +31,6 @@ from luxloop.world.arrays import read_parquet
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import output_folder
 
-VIDEO_FPS = 10  # slower than most loops, so that single steps are visible
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RunResult:
@@ -90,9 +88,8 @@ def run(  # noqa: PLR0913 (independent options)
     """
     # Recording modules, imported here so that `prepare` need not load them.
     from luxloop.loop.recording.recorder import Recorder, refuse_other_files
-    from luxloop.loop.recording.video import VideoWriter
+    from luxloop.loop.report.film import Film
     from luxloop.loop.report.highlights import Highlights
-    from luxloop.loop.report.picture import frame_picture, white_of
 
     if folder is not None and not isinstance(folder, str | Path):
         raise LuxloopError(f"run: folder is a {type(folder).__name__}, not a path; give other values of keys as overrides=[...]")
@@ -111,10 +108,10 @@ def run(  # noqa: PLR0913 (independent options)
     folder = Path(folder)
     with output_folder(folder), ExitStack() as stack:
         refuse_other_files(folder)
-        simulation, white = prepare(scenario, device), None
+        simulation = prepare(scenario, device)
         if plant is not None:
             simulation = replace(simulation, plant=plant(simulation))
-        camera, highlights = scenario.camera, Highlights(simulation)
+        highlights = Highlights(simulation)
         run_checks = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).evaluations())) if checks else None)
 
         def page(table: pa.Table, summary: dict[str, Any]) -> None:
@@ -123,17 +120,14 @@ def run(  # noqa: PLR0913 (independent options)
             write_report(folder / REPORT, simulation, highlights, table, summary)
 
         recorder = stack.enter_context(Recorder(folder, simulation, page if report else None, run_checks.outcomes, frames, wanted))
-        film = VideoWriter(folder / VIDEO, VIDEO_FPS, (camera.width_px, camera.height_px)) if video else None
-        if film is not None:
-            stack.enter_context(film)
+        film = stack.enter_context(Film(folder / VIDEO, simulation)) if video else None
         stack.callback(on_end)
         for result in stack.enter_context(closing(simulation.evaluations())):
             recorder.add(result)
             run_checks.step()
             highlights.add(result)
             if film is not None:
-                white = white_of(result, simulation) if white is None else white
-                film.add(frame_picture(result, simulation, white))
+                film.step(result)
             on_step(result)
     gc.collect()  # matplotlib leaves exceptions of its parser in cycles, and their frames hold the simulation: half a gigabyte
     return RunResult(recorder.summary, read_parquet(folder / TRAJECTORY), folder, temporary)

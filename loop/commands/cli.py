@@ -222,6 +222,7 @@ def run(
     twin: Flag = False,
     device: Device = "auto",
     video: bool = True,
+    view: Literal["camera", "driver", "chase", "above"] | None = None,
     report: bool = True,
     frames: Flag = False,
     labels: Literal["coco", "kitti"] | None = None,
@@ -261,6 +262,8 @@ def run(
         Device to compute on; auto takes CUDA if available.
     video
         Whether to write video.mp4.
+    view
+        What video.mp4 shows, as `--set video.view=...`: the camera's frames, or what people see.
     report
         Whether to write report.png, which takes seconds.
     frames
@@ -286,6 +289,7 @@ def run(
     if twin and not arm:
         raise LuxloopError("--twin compares what a lit rig shows with the simulation; give --rig FILE and --arm as well")
     given |= {} if rig is None else {"plant": {"kind": "rig"}}
+    set = set if view is None else [*(set or ()), f"video.view={view}"]
     scenario = scenario_of(name, set, controller, itself, allow_code, **given)
     if scenario.digitised_module is not None and rig is None and plant is None:
         from luxloop.loop.simulation.digitised import needs_rig

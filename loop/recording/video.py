@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
+from typing import Self
 
 import av
 import numpy as np
@@ -15,6 +16,7 @@ from torch import Tensor
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import part_of
 
+NOISY_CRF = 26  # finer would spend megabytes on the camera's noise
 Picture = np.ndarray  # [H, W, 3] uint8, RGB
 
 
@@ -33,20 +35,22 @@ class VideoWriter:
     file is written.
     """
 
-    def __init__(self, path: Path, fps: float, size: tuple[int, int]) -> None:
-        """size: width and height in px. Raises LuxloopError where the file cannot be written."""
+    def __init__(self, path: Path, fps: float, size: tuple[int, int], crf: int = NOISY_CRF) -> None:
+        """size: width and height in px. crf: H.264's constant rate factor, lower is finer. Raises LuxloopError where the file cannot be
+        written.
+        """
         self.path = path
         self._part = part_of(path)
         with self._writing():
             self._file = self._part.open("wb")
         self._container = av.open(self._file, "w", format="mp4")
-        options = {"crf": "26", "preset": "veryfast"}  # finer would spend megabytes on the camera's noise
+        options = {"crf": str(crf), "preset": "veryfast"}
         self._stream = self._container.add_stream("h264", Fraction(fps).limit_denominator(1000), options)
         self._stream.width, self._stream.height = (n - n % 2 for n in size)
         self._stream.pix_fmt = "yuv420p"
         self._stream.thread_count = 1  # the file does not depend on the number of cores
 
-    def __enter__(self) -> "VideoWriter":
+    def __enter__(self) -> Self:
         return self
 
     def add(self, picture: Picture) -> None:

@@ -76,6 +76,21 @@ class LightParams(Params):
     street_lamps: tuple[StreetLamp, ...] = Field((), description="point lights")
 
 
+class VideoParams(Params):
+    """What video.mp4 shows."""
+
+    view: Literal["camera", "driver", "chase", "above"] = Field(
+        "camera",
+        description="the camera's frames with marks, one a step; or in colour what people see: from the driver's seat, behind, above",
+    )
+    width_px: int = Field(1280, ge=64, le=3840, description="width of people's views, which are 16 : 9")
+    rate_hz: float = Field(30.0, ge=1, le=120, description="frames a second of people's views, in real time")
+    exposure_ev: float | None = Field(
+        None, ge=-20, le=20, description="exposure value of people's views: 1.2 cd/m^2 * 2^EV is bright; left out: from the first step"
+    )
+    age_years: float = Field(40.0, ge=1, le=120, description="age of the eye, in which glare scatters")
+
+
 class RoadConditionParams(Params):
     """Rain and street lighting from one time on, for lighting functions."""
 
@@ -125,6 +140,7 @@ class Scenario(Params):
         "on", description="with symbols under control: frames for the detector, with the measured symbols, without them, or both"
     )
     tracker: AnyTracker = Field(TrackerParams(), description="follows detections from frame to frame")
+    video: VideoParams = Field(VideoParams(), description="what the run's film shows")
 
     @field_validator("pixel_controller")
     @classmethod

@@ -36,7 +36,7 @@ def ambient_luminance(
         away = spot.position.to(position)[:, None] - position
         factor = _cos_per_d2(normal, away)
         lit = torch.nonzero(factor)[:, 0]  # what faces the lamp
-        illuminance.index_add_(0, lit, _intensity(spot, away.index_select(1, lit).neg_()) * factor[lit])
+        illuminance.index_add_(0, lit, spot_intensity(spot, away.index_select(1, lit).neg_()) * factor[lit])
     reflected = albedo[there] * illuminance / math.pi
     luminance = torch.zeros_like(albedo).index_copy(0, there, reflected).view_as(gbuffer.albedo)
     if gbuffer.finish is None:
@@ -51,7 +51,7 @@ def _cos_per_d2(normal: Tensor, away: Tensor) -> Tensor:
     return (normal * away).sum(0).clamp(min=0) / (d2 * d2.sqrt())
 
 
-def _intensity(spot: Spotlight, ray: Tensor) -> Tensor:
+def spot_intensity(spot: Spotlight, ray: Tensor) -> Tensor:
     """Intensity `[N]` in cd along rays `[3, N]` of any length."""
     x = spot.axis.to(ray)
     y = unit(torch.linalg.cross(torch.tensor([0.0, 0.0, 1.0]).to(ray), x))

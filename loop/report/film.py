@@ -1,0 +1,63 @@
+"""The film of a run: the camera's annotated frames, or what people see, at the film's own rate."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from luxloop.loop.recording.video import NOISY_CRF, VideoWriter
+from luxloop.loop.report.onlooker import Onlooker
+from luxloop.loop.report.picture import frame_picture, white_of
+from luxloop.loop.report.views import above, chase, driver
+from luxloop.loop.simulation.evaluator import Evaluation
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.perception.eye import exposure_of
+from luxloop.world.headlight.lamp import Commands
+
+CAMERA_HZ = 10  # slower than most loops, so that single steps are visible
+CLEAN_CRF = 20
+VIEWS = {"driver": driver, "chase": chase, "above": above}
+
+
+class Film(VideoWriter):
+    """A film of the scenario's `video.view`."""
+
+    def __init__(self, path: Path, simulation: Simulation) -> None:
+        """Raises LuxloopError where the file cannot be written, or the plant does not know what people see."""
+        scenario, self._simulation = simulation.scenario, simulation
+        self._onlooker: Onlooker | None = None
+        self._white: Tensor | None = None
+        self._before: tuple[float, Sequence[Tensor]] | None = None
+        wanted = scenario.video
+        size, rate_hz = (scenario.camera.width_px, scenario.camera.height_px), float(CAMERA_HZ)
+        if wanted.view != "camera":
+            view, rate_hz = VIEWS[wanted.view](wanted.width_px), wanted.rate_hz
+            size, duration_s = (view.width, view.height), scenario.steps / scenario.rate_hz
+            lane_width_m, beside = scenario.surface.lane_width_m, wanted.view != "driver"
+            self._onlooker = Onlooker(simulation.world, view, duration_s, lane_width_m, wanted.age_years, beside)
+        self._exposure_ev, self._rate_hz, self._frames = wanted.exposure_ev, rate_hz, 0
+        super().__init__(path, rate_hz, size, NOISY_CRF if self._onlooker is None else CLEAN_CRF)
+
+    def step(self, result: Evaluation) -> None:
+        """Add a step: one frame of the camera, or all frames since the step before, between whose lights they interpolate."""
+        if self._onlooker is None:
+            self._white = white_of(result, self._simulation) if self._white is None else self._white
+            self.add(frame_picture(result, self._simulation, self._white))
+            return
+        commands, lights = result.now.commands, result.lights
+        if self._exposure_ev is None:
+            self._exposure_ev = exposure_of(self._onlooker.light(result.time_s, lights, commands))
+        before_s, earlier = self._before or (result.time_s, lights)
+        for frame in range(self._frames, math.floor(result.time_s * self._rate_hz + 1e-9) + 1):
+            share = (frame / self._rate_hz - before_s) / max(result.time_s - before_s, 1e-9)
+            self._add_view(
+                frame / self._rate_hz, [torch.lerp(a, b, max(share, 0.0)) for a, b in zip(earlier, lights, strict=True)], commands
+            )
+            self._frames = frame + 1
+        self._before = result.time_s, lights
+
+    def _add_view(self, time_s: float, lights: Sequence[Tensor], commands: Commands) -> None:
+        assert self._onlooker is not None and self._exposure_ev is not None
+        self.add(self._onlooker.picture(time_s, lights, commands, self._exposure_ev))

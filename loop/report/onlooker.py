@@ -1,0 +1,164 @@
+"""What people see of a run, in colour: a driver's view, one from behind the car and one from above."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from luxloop.loop.simulation.world import LitScene, World
+from luxloop.perception.eye import develop, smooth, veil
+from luxloop.world.caches import Part
+from luxloop.world.frames import View, inverse, pose_from_degrees, transform
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Commands
+from luxloop.world.headlight.matrix import LUMINANCE
+from luxloop.world.light.emitters import spot_intensity
+from luxloop.world.rendering.gbuffer import GBuffer
+from luxloop.world.rendering.raycast import sees
+from luxloop.world.scene.scene import Ground
+from luxloop.world.scene.triangles import Group, Instance, Triangles
+from luxloop.world.traffic.car import CarParams
+from luxloop.world.traffic.colours import GRASS, SKY, WHITE, colour
+from luxloop.world.traffic.tracked import KeyframeParams
+
+LAMP_M: Final = 0.3  # by which a lamp's point lies inside its body
+NOSE_M: Final = 0.05  # from the own car's lamps to its front end
+EDGE_M: Final = 0.4  # of the asphalt beyond a lane
+BEHIND_M: Final = 20.0  # behind the car up to which the road is seen
+COURSE_S: Final = 0.1  # between the places that give the course
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """One channel, in linear sRGB, of a coloured headlight's light."""
+
+    headlight: Headlight
+    number: int
+
+    def light_texture(self, utilisation: Tensor, band: slice | None = None) -> Tensor:
+        """As of `Headlight.light_texture`."""
+        return self.headlight.colour_texture(utilisation)[..., self.number, :, :]
+
+
+@dataclass(frozen=True, eq=False)
+class Onlooker:
+    """Somebody who looks at a world.
+
+    view: in the ground frame. duration_s: of the drive, whose course has the lane and one for oncoming traffic on its left, between grass.
+    beside: whether the own car is in sight.
+    """
+
+    world: World
+    view: View
+    duration_s: float
+    lane_width_m: float
+    age_years: float = 40.0
+    beside: bool = False
+
+    def light(self, time_s: float, lights: Sequence[Tensor], commands: Commands = ()) -> Tensor:
+        """Light `[3, H, W]` in cd/m^2 that enters the eye, linear sRGB, without glare; its luminance is what a camera there
+        measures, and above the horizon that of an even sky.
+
+        lights: utilisations `[n_p]`, one a module.
+        """
+        return self._light(self._lit(time_s), lights, commands)
+
+    def picture(self, time_s: float, lights: Sequence[Tensor], commands: Commands, exposure_ev: float) -> np.ndarray:
+        """sRGB picture `[H, W, 3]` uint8 of the light on the retina."""
+        lit = self._lit(time_s)
+        shown = smooth(develop(self._light(lit, lights, commands) + self._glare(lit), exposure_ev))
+        return (255 * shown).round().byte().movedim(0, -1).cpu().numpy()
+
+    @cached_property
+    def _own_car(self) -> Instance:
+        """The car that carries the lamps, in its body frame."""
+        params = CarParams(name="own_car", seed=3, style="saloon", track=(KeyframeParams(position_m=(0.0, 0.0, 0.0)),))
+        body = params.build()
+        return Instance(len(self.world.scene.bodies), body, pose_from_degrees((-NOSE_M - float(body.bounds[1, 0]), 0.0, 0.0)))
+
+    def _lit(self, time_s: float) -> LitScene:
+        lit = self.world.through(self.view, time_s)
+        if not self.beside:
+            return lit
+        own = replace(self._own_car, T_world_body=lit.vehicle.T_world_body @ self._own_car.T_world_body)
+        everybody = Triangles((*lit.triangles.groups, Group((*self._road_behind(lit), own))))
+
+        def render(_: Triangles, view: View, part: Part | None) -> GBuffer:
+            return self.world.surfaces.gbuffer(everybody, view, part)
+
+        return replace(lit, render=render)
+
+    def _road_behind(self, lit: LitScene) -> tuple[Instance, ...]:
+        """Parts of the road that only somebody behind the car sees."""
+        road, T_world_ground = self.world.scene.bodies[0], lit.vehicle.T_world_ground
+        if not isinstance(road, Ground):
+            return ()
+        near = road.near(0, T_world_ground @ pose_from_degrees((-BEHIND_M, 0.0, 0.0)))
+        T_ground_world = inverse(T_world_ground)
+        return tuple(each for each in near if each not in lit.triangles.placed and transform(T_ground_world, each.box.T)[0].mean() < 0)
+
+    def _light(self, lit: LitScene, lights: Sequence[Tensor], commands: Commands) -> Tensor:
+        weight = torch.tensor(LUMINANCE)[:, None, None]
+        sky = (lit.surfaces.object_id < 0) * lit.scene.ambient_lx / math.pi
+        arriving = self._from_lamps(lit, lights, commands) + lit.base + sky
+        seen = arriving * self._colours(lit)
+        return seen * (weight * arriving).sum(0) / (weight * seen).sum(0).clamp(min=1e-12)
+
+    def _from_lamps(self, lit: LitScene, lights: Sequence[Tensor], commands: Commands) -> Tensor:
+        """Luminance `[3, H, W]` from the lamps in linear sRGB, of grey surfaces."""
+        if all(module.headlight.chroma is None for module in lit.modules):
+            return lit.light(lights, commands)[1].expand(3, -1, -1)
+        channels = list[Tensor]()
+        for number in range(len(LUMINANCE)):
+            modules = tuple(replace(each, measured=Channel(each.headlight, number)) for each in lit.modules)
+            channels.append(replace(lit, modules=modules, render=lambda *_: lit.rendered).light(lights, commands)[1])
+        return torch.stack(channels)
+
+    def _colours(self, lit: LitScene) -> Tensor:
+        """Colours `[3, H, W]` of the surfaces at luminance 1."""
+        surfaces, placed = lit.surfaces, {each.object_id: each for each in (*lit.triangles.placed, self._own_car)}
+        table, first = [WHITE, GRASS, SKY], torch.zeros(max(placed) + 2, dtype=torch.int64)
+        for number, each in placed.items():
+            if each.body.parts:
+                banded = any(part.name == "bands" for part in each.body.parts)
+                first[number + 1] = len(table)
+                table += [colour(each.body.name, part, banded) for part in each.body.parts]
+        start = first[surfaces.object_id.long() + 1]
+        index = start if surfaces.part is None else start + torch.where(start > 0, surfaces.part, 0)
+        index[self._on_grass(surfaces)], index[surfaces.object_id < 0] = 1, 2
+        return torch.tensor(table)[index].movedim(-1, 0)
+
+    def _on_grass(self, surfaces: GBuffer) -> Tensor:
+        """Where `[H, W]` bool the ground lies beside the lanes."""
+        x, y, _ = (each.cpu().numpy() for each in surfaces.position)
+        way_x, way_y, heading = self._course
+        at = (y - np.interp(x, way_x, way_y)) * np.cos(np.interp(x, way_x, heading))
+        right, left = -self.lane_width_m / 2 - EDGE_M, 1.5 * self.lane_width_m + EDGE_M
+        return (surfaces.object_id == 0) & torch.from_numpy((at < right) | (at > left))
+
+    @cached_property
+    def _course(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """x and y in m and heading in rad of the drive, by ascending x."""
+        poses = [self.world.motion.at(t).T_world_ground for t in np.arange(0, self.duration_s, COURSE_S)]
+        x, y = torch.stack([each[:2, 3] for each in poses]).T.numpy()
+        heading = np.array([torch.atan2(each[1, 0], each[0, 0]) for each in poses])
+        order = np.argsort(x, kind="stable")
+        return x[order], y[order], heading[order]
+
+    def _glare(self, lit: LitScene) -> Tensor:
+        """Veil `[H, W]` in cd/m^2 of the lamps of others that shine into the eye."""
+        spots = lit.scene.spotlights_at(lit.time_s)
+        if not spots:
+            return torch.zeros(self.view.height, self.view.width)
+        places = torch.stack([spot.position for spot in spots], 1)
+        away = transform(inverse(lit.eye.T_world_view), places)  # in the view, [3, n]
+        seen = torch.nonzero(sees(lit.triangles, lit.eye.origin, places, LAMP_M) & (away[2] > 0))[:, 0].tolist()
+        to_eye = (lit.eye.origin[:, None] - places).float()
+        cd = torch.tensor([float(spot_intensity(spots[k], to_eye[:, k, None])) for k in seen])
+        lx = cd * away[2, seen].float() / away[:, seen].norm(dim=0).float() ** 3  # E = I cos / d^2
+        return veil(lit.eye, places[:, seen], lx, self.age_years)

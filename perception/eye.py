@@ -1,0 +1,71 @@
+"""The human eye: veil of disability glare, and pictures on a display by exposure, tone curve and smooth edges."""
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import grid_sample, pad
+
+from luxloop.world.frames import View, unit
+from luxloop.world.headlight.matrix import LUMINANCE
+
+CORE_DEG = 0.1  # least angle of the CIE's equation
+PIGMENT = 0.5  # of brown eyes; 0 black, 1.2 light blue
+LATITUDE = 1.2  # luminance in cd/m^2 that saturates an image at EV 0 (ISO 12232)
+WHITE = 4.0  # luminance, relative to that of the exposure, that is shown as white
+BRIGHT = 0.98  # share of the first picture that its exposure does not saturate
+DARKEST = 1e-3  # luminance in cd/m^2, of a moonless night
+EDGE = 0.06  # least contrast of an edge that is smoothed, of the picture's white
+
+
+def veil(view: View, sources: Tensor, eye_lx: Tensor, age_years: float) -> Tensor:
+    """Veiling luminance `[height, width]` in cd/m^2 about point sources: `10/θ³ + (5/θ² + 0.1p/θ)(1 + (A/62.5)⁴) + 0.0025p` for each lux
+    at the eye, θ in deg (CIE 146:2002, general disability glare).
+
+    sources: `[3, n]` m, world. eye_lx: `[n]`, illuminance at the eye from each. age_years: A.
+    """
+    rays = unit(view.rays().flatten(1).float())
+    total = rays.new_zeros(rays.shape[1])
+    older = 1 + (age_years / 62.5) ** 4
+    for source, lx in zip(unit(sources - view.origin[:, None]).float().T, eye_lx.tolist(), strict=True):
+        theta = torch.rad2deg(2 * torch.asin(((rays - source[:, None]).square().sum(0).sqrt() / 2).clamp(max=1))).clamp(min=CORE_DEG)
+        total += lx * (10 / theta**3 + (5 / theta**2 + 0.1 * PIGMENT / theta) * older + 0.0025 * PIGMENT)
+    return total.view(view.height, view.width)
+
+
+def exposure_of(light: Tensor) -> float:
+    """Exposure value at which nearly all of light `[3, H, W]` in cd/m^2 keeps its contrast."""
+    bright = np.quantile((light.movedim(0, -1) @ light.new_tensor(LUMINANCE)).cpu().numpy(), BRIGHT)
+    return math.log2(max(float(bright), DARKEST) / LATITUDE)
+
+
+def develop(light: Tensor, exposure_ev: float) -> Tensor:
+    """sRGB picture `[3, H, W]` in 0..1 of light `[3, H, W]` in cd/m^2, linear sRGB.
+
+    Luminance goes through the curve `x (1 + x/w²) / (1 + x)` (Reinhard et al. 2002), x being 1 at the exposure's saturation; hue is kept.
+    """
+    weight = light.new_tensor(LUMINANCE)
+    luminance = (weight[:, None, None] * light).sum(0)
+    x = luminance / (LATITUDE * 2**exposure_ev)
+    shown = light * ((1 + x / WHITE**2) / (1 + x) / (LATITUDE * 2**exposure_ev))
+    linear = (shown / shown.amax(0).clamp(min=1)).clamp(min=0)  # what is too bright for the display keeps its hue
+    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp(min=1e-9) ** (1 / 2.4) - 0.055)
+
+
+def smooth(picture: Tensor) -> Tensor:
+    """A picture `[3, H, W]` whose stairs along edges are blended, square to the gradient (after FXAA, Lottes 2009)."""
+    grey = (picture.new_tensor(LUMINANCE)[:, None, None] * picture).sum(0)
+    around = pad(grey[None, None], (1, 1, 1, 1), mode="replicate")[0, 0]
+    nw, ne, sw, se = around[:-2, :-2], around[:-2, 2:], around[2:, :-2], around[2:, 2:]
+    along = torch.stack([sw + se - nw - ne, nw + sw - ne - se])  # (du, dv) along the edge
+    corners = torch.stack([nw, ne, sw, se, grey])
+    contrast = corners.amax(0) - corners.amin(0)
+    along = (along / along.abs().amin(0).clamp(min=0.03)).clamp(-4, 4) * (contrast > EDGE)
+    height, width = grey.shape
+    v, u = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
+    blended = torch.zeros_like(picture)
+    for share in (-0.5, -1 / 6, 1 / 6, 0.5):
+        places = torch.stack([2 * (u + share * along[0]) / width - 1, 2 * (v + share * along[1]) / height - 1], -1)
+        blended += grid_sample(picture[None], places[None], padding_mode="border", align_corners=False)[0] / 4
+    return blended
