@@ -17,7 +17,7 @@ from luxloop.world.messages import ArrayBytes, encode, grey, pack, raw
 
 MOST_BACKLOG = 2  # sent steps of a run that a client has not shown yet
 PERIOD_S = 0.05  # least interval of a playing run's steps
-REST = 20  # interval of messages as a multiple of the time to make them
+REST = 10  # interval of messages as a multiple of the time to make them
 LONGEST_REST_S = 0.3  # longest interval of messages, for driving
 MOST_ROWS = 10_000  # in a message
 FORGOTTEN = "light and pictures of this step are no longer kept: those of the step shown last are drawn; start anew to see them"
