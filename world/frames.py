@@ -86,6 +86,11 @@ class View:
         """Centre of projection in the world, `[3]` m."""
         return self.T_world_view[:3, 3]
 
+    @property
+    def whole(self) -> tuple[slice, slice]:
+        """All rows and columns."""
+        return slice(0, self.height), slice(0, self.width)
+
     def with_rows(self, rows: int) -> "View":
         """The same view with `rows` rows for each of its own."""
         return replace(self, height=rows * self.height, fy=rows * self.fy, cy=rows * self.cy)

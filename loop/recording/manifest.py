@@ -37,7 +37,7 @@ TWIN, TWIN_PICTURE = "twin.parquet", "twin.png"  # comparison of a rig's frames 
 BEAM = "beam.png"  # the last light that was digitised live
 FILES = (TRAJECTORY, SUMMARY, REPORT, VIDEO, EDITS, RIG, TWIN, TWIN_PICTURE, BEAM, MANIFEST)
 FORMAT_VERSION: Final = 1
-PACKAGES = ("luxloop", "torch", "numpy", "scipy", "kornia", "opencv-contrib-python-headless", "pyrender", "trimesh", "embreex", "pyarrow")
+PACKAGES = ("luxloop", "torch", "numpy", "scipy", "kornia", "opencv-contrib-python-headless", "PyOpenGL", "trimesh", "embreex", "pyarrow")
 
 
 class InputFile(Params):

@@ -96,7 +96,7 @@ class SimulatedPlant:
         base: `[height, width]` cd/m^2, luminance without the lamps. part: rows and columns of the image, None for all.
         """
         view, camera, device = self.world.view, self.world.camera, self.world.device
-        part = part or (slice(0, view.height), slice(0, view.width))
+        part = part or view.whole
         ambient, noisy = self.disturbances.ambient_factor(step, frame), self.disturbances.noise_factor(step)
         if ambient != 1:
             luminance = luminance + (ambient - 1) * base

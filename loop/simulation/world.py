@@ -90,9 +90,13 @@ class LitScene:
         """Whether the surfaces have been rendered."""
         return "rendered" in vars(self)
 
+    def begins_with(self, part: Part) -> bool:
+        """Whether no other part than this has been read: of a standing scene, later ones are cut from the whole, which lasts."""
+        return not self._parts or str(part) in self._parts
+
     def within(self, part: Part) -> "LitScene":
         """A part of the whole view, rendered separately."""
-        if part == (slice(0, self.eye.height), slice(0, self.eye.width)):
+        if part == self.eye.whole:
             return self
         if (key := str(part)) not in self._parts:
             self._parts = dict([*self._parts.items()][1 - KEPT_PARTS :]) | {key: replace(self, part=part)}
@@ -330,17 +334,13 @@ class World:
         part: rows and columns of the image, None for all.
         """
         lit = self.lit(time_s)
-        if part is not None and not self._whole(lit):
+        if part is not None and not lit.is_rendered and (self.moving or lit.begins_with(part)):
             lit, part = lit.within(part), None
         if part is None:
             return lit.expose(lights, commands, self.metered)[1], lit.base
         if self.metered or self.moving or lit.find_exposure(lights, commands):
             return lit.expose(lights, commands, self.metered)[1][..., *part], lit.base[part]
         return lit.shown(lights, commands, part[0])[..., part[1]], lit.base[part]
-
-    def _whole(self, lit: LitScene) -> bool:
-        """Whether the whole image is already rendered or can be reused later."""
-        return lit.is_rendered or not self.moving
 
     def image(self, like: Tensor, part_of: Callable[[Part], Tensor]) -> PartialImage:
         """A camera image `[height, width]`, computed on access. like: gives dtype and device."""
@@ -349,7 +349,7 @@ class World:
     def on_objects(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> ObjectLight:
         """Illuminance from the lamps on all objects at a time, computed at their pixels only."""
         lit = self.lit(time_s)
-        seen = lit if self._whole(lit) else lit.within(lit.around_objects)
+        seen = lit if lit.is_rendered or not self.moving else lit.within(lit.around_objects)
         pixels = torch.nonzero(seen.surfaces.object_id.flatten() > 0)[:, 0]
         surfaces = seen.surfaces.at(pixels)
         if (known := seen.find_exposure(lights, commands)) and known[0] is not None:

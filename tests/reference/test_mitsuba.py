@@ -12,6 +12,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 import torch
+import trimesh
 from scipy.ndimage import maximum_filter, minimum_filter
 from torch import Tensor
 
@@ -100,7 +101,7 @@ def their_illuminance(mi: ModuleType, shapes: dict, view: View, emitters: list[d
 def shape(mi: ModuleType, body: Body, folder: Path) -> dict:
     """A body as Mitsuba's mesh, without vertex normals: Mitsuba works out its own."""
     T, file = body.track.pose_at(0.0).numpy(), folder / f"{body.name}.ply"
-    mesh = body.mesh.copy()
+    mesh = trimesh.Trimesh(body.mesh.vertices, body.mesh.faces, process=False)
     mesh.apply_transform(T)
     mesh.export(file, vertex_normal=False)
     return {

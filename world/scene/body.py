@@ -16,6 +16,7 @@ from luxloop.world.materials.brdf import LAMBERTIAN, Material
 from luxloop.world.materials.library import MaterialName, SpottedTexture, Texture
 from luxloop.world.roads.base import Road
 from luxloop.world.scene.embree import EmbreeMesh
+from luxloop.world.scene.mesh import Mesh
 
 if TYPE_CHECKING:
     import trimesh
@@ -135,7 +136,7 @@ class Body:
     """
 
     name: str
-    mesh: "trimesh.Trimesh"
+    mesh: "Mesh | trimesh.Trimesh"
     albedo: float = 0.2
     texture: Texture | SpottedTexture | None = None
     material: Material = LAMBERTIAN
