@@ -16,7 +16,7 @@ from luxloop.controllers.symbol.sensing.field import SIDES, cut
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.loop.recording.checks import Checks
 from luxloop.loop.recording.labels import Layout, choose_labels
-from luxloop.loop.recording.manifest import REPORT, TRAJECTORY, VIDEO
+from luxloop.loop.recording.manifest import REPORT, TRAJECTORY, VIDEO, Manifest
 from luxloop.loop.recording.record import refuse_unknown_columns, row
 from luxloop.loop.recording.remedies import target_remedies
 from luxloop.loop.scenario.model import Scenario, load
@@ -114,10 +114,10 @@ def run(  # noqa: PLR0913 (independent options)
         highlights = Highlights(simulation)
         run_checks = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).evaluations())) if checks else None)
 
-        def page(table: pa.Table, summary: dict[str, Any]) -> None:
+        def page(table: pa.Table, summary: dict[str, Any], manifest: Manifest) -> None:
             from luxloop.loop.report.page import write_report  # deferred, so that the first step need not load Matplotlib
 
-            write_report(folder / REPORT, simulation, highlights, table, summary)
+            write_report(folder / REPORT, simulation, highlights, table, summary, manifest)
 
         recorder = stack.enter_context(Recorder(folder, simulation, page if report else None, run_checks.outcomes, frames, wanted))
         film = stack.enter_context(Film(folder / VIDEO, simulation)) if video else None

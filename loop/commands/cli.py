@@ -342,5 +342,21 @@ def replay(directory: Path, /, *, compare: bool | None = None, csv: Path | None 
     return OK
 
 
+@app.command
+def report(directory: Path, /, *, out: Path | None = None, allow_code: AllowCode = False) -> None:
+    """Run a recorded scenario again and draw its report.
+
+    Parameters
+    ----------
+    directory
+        Folder that `luxloop run` wrote.
+    out
+        File for the page, .png, .pdf or .svg; by default report.pdf in the folder.
+    """
+    from luxloop.loop.commands.runs import draw_report
+
+    print(f"{draw_report(directory, out or directory / 'report.pdf', allow_code)} written")
+
+
 if __name__ == "__main__":
     sys.exit(main())

@@ -10,14 +10,19 @@ import torch
 from rich.markup import escape
 
 from luxloop.loop.recording.checks import success
-from luxloop.loop.recording.manifest import TRAJECTORY, Manifest
-from luxloop.loop.recording.replay import replay
+from luxloop.loop.recording.manifest import PAGES, SUMMARY, TRAJECTORY, Manifest
+from luxloop.loop.recording.replay import load_to_rerun, replay, rerun
 from luxloop.loop.report import terminal as tables
+from luxloop.loop.report.highlights import Highlights
 from luxloop.loop.report.run_table import summary_table
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.arrays import read_parquet
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import content
+from luxloop.world.validation import parsed_json
 
 
 def _one_thread() -> None:
@@ -78,6 +83,27 @@ def compare_recording(directory: Path, allow_code: bool) -> bool:
         columns = ("column", "first at step", "recorded", "replayed", "largest difference", "at step", "tolerance")
         tables.show(tables.plain(columns, rows))
     return comparison.agrees
+
+
+def draw_report(directory: Path, out: Path, allow_code: bool) -> Path:
+    """Run a recording again and draw its page. Raises LuxloopError as `replay`, and for another format."""
+    from luxloop.loop.report.page import write_report  # imports Matplotlib
+
+    if out.suffix.lower() not in {Path(each).suffix for each in PAGES}:
+        raise LuxloopError(f"{out}: a report is a .png, .pdf or .svg file; give another name with --out")
+    recording = load_to_rerun(directory, allow_code)
+    _one_thread()
+    first = Simulation.prepare(recording.scenario)
+    highlights, now = Highlights(first), first
+    with tables.progress(recording.scenario.name, recording.table.num_rows) as advance:
+        for simulation, result in rerun(recording, first):
+            if simulation is not now:
+                highlights.edit(now := simulation)
+            highlights.add(result)
+            advance()
+    summary = parsed_json(content(directory / SUMMARY))
+    write_report(out, now, highlights, recording.table, summary, recording.manifest)
+    return out
 
 
 def _cell(value: object) -> str:

@@ -123,12 +123,13 @@ class Recorder:
         self,
         directory: Path,
         run: Simulation | Tally,
-        report: Callable[[pa.Table, dict[str, Any]], None] | None = None,
+        report: Callable[[pa.Table, dict[str, Any], Manifest], None] | None = None,
         checked: Callable[[pa.Table], dict[str, Any]] | None = None,
         frames: bool = False,
         labels: Labels | None = None,
     ) -> None:
-        """run: a simulation, or the tally of a run so far, whose steps are recorded as well. report: draws the report of table and summary.
+        """run: a simulation, or the tally of a run so far, whose steps are recorded as well. report: draws the report of table, summary and
+        manifest.
         checked: gives the outcomes of checks, by name. frames: whether frames are recorded. labels: recorded with the frames.
 
         Raises LuxloopError if the directory holds anything but a recording, or cannot be written, if an input file cannot be read, and for
@@ -182,7 +183,7 @@ class Recorder:
             write_json(self.directory / SUMMARY, self.summary)
             self.manifest = self.manifest.finish(ended, self.directory)
             if self._report is not None:
-                self._report(self.table(), self.summary)
+                self._report(self.table(), self.summary, self.manifest)
         except Exception:
             with suppress(OSError):
                 self.manifest.fail(self.directory)

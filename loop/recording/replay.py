@@ -124,6 +124,16 @@ def load(directory: Path) -> Recording:
     return Recording(manifest, scenario, table, edits)
 
 
+def load_to_rerun(directory: Path, allow_code: bool) -> Recording:
+    """Read a recording with at least one step. Raises LuxloopError as `load`, and where it names a Python module that may not run."""
+    recording = load(directory)
+    if recording.table.num_rows == 0:
+        raise LuxloopError(f"{directory / TRAJECTORY}: holds no step; record the run again")
+    if not allow_code:
+        refuse_recorded_code(directory, recording.scenario, recording.edits)
+    return recording
+
+
 def refuse_recorded_code(directory: Path, scenario: Scenario, edits: Iterable[Edit]) -> None:
     """Raises LuxloopError where a recording's scenario or one of the edits names a Python module."""
     refuse_code(scenario, str(directory / MANIFEST))
@@ -161,12 +171,8 @@ def replay(
     device: by default the recording's, or the CPU where there is no such device. on_step: called after every step. allow_code: whether
     modules that the manifest or edits name may run. Raises LuxloopError where the recording is damaged or an input file is missing.
     """
-    recording = load(directory)
+    recording = load_to_rerun(directory, allow_code)
     manifest, scenario = recording.manifest, recording.scenario
-    if recording.table.num_rows == 0:
-        raise LuxloopError(f"{directory / TRAJECTORY}: holds no step; record the run again")
-    if not allow_code:
-        refuse_recorded_code(directory, scenario, recording.edits)
     here = "cuda" if manifest.device.startswith("cuda") and torch.cuda.is_available() else "cpu"
     simulation = Simulation.prepare(scenario, device or here)
     columns = schema(simulation)

@@ -1,11 +1,14 @@
 """Parts of a run that report.png needs beside the table, collected during the run."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from luxloop.controllers.situation import ScheduleParams
+from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.appearance import appearance, image_axes
@@ -32,7 +35,8 @@ class Highlights:
         # the last step without light on tracks
         frames = scenario.camera.latency_steps + tracker.confirm_frames if scenario.detector and isinstance(tracker, TrackerParams) else 1
         first = min(frames, steps) - 1
-        self._kept = {first + k * (steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS)}
+        self._busiest = busiest_step(scenario)
+        self._kept = {first + k * (steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS)} | {self._busiest}
         known = {each.name for each in self.symbols}
         self.symbols += [SymbolHistory(name, simulation.scenario.steps) for name in simulation.controlled if name not in known]
 
@@ -41,11 +45,28 @@ class Highlights:
         """Steps that the page shows, the last step of the run at the end."""
         return list(self._moments.values())[-MOMENTS:]
 
+    @property
+    def busiest(self) -> Evaluation:
+        """The step that shows the functions at work, or the last so far."""
+        return self._moments.get(self._busiest, self.moments[-1])
+
     def add(self, result: Evaluation) -> None:
         """Add a step."""
         self._moments = {step: each for step, each in self._moments.items() if step in self._kept} | {result.step: result}
         for each in self.symbols:
             each.add(result)
+
+
+def busiest_step(scenario: Scenario) -> int:
+    """The step amid the longest time in which most functions are scheduled; the last one where none has a schedule."""
+    end_s = scenario.steps / scenario.rate_hz
+    timed = [each for each in scenario.functions.values() if isinstance(each, ScheduleParams)]
+    spans = [(each.start_s or 0.0, end_s if each.stop_s is None else min(each.stop_s, end_s)) for each in timed]
+    edges = sorted({0.0, end_s, *(time for span in spans for time in span if 0 < time < end_s)})
+    if len(edges) == 2:
+        return scenario.steps - 1
+    start, stop = max(pairwise(edges), key=lambda at: (sum(a <= at[0] and at[1] <= b for a, b in spans), at[1] - at[0]))
+    return min(int((start + stop) / 2 * scenario.rate_hz), scenario.steps - 1)
 
 
 class SymbolHistory:

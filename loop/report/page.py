@@ -15,22 +15,26 @@ from matplotlib.figure import SubFigure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
+from luxloop.loop.recording.checks import lines
+from luxloop.loop.recording.manifest import Manifest
 from luxloop.loop.recording.remedies import SHADOW
 from luxloop.loop.recording.summary import Summary
 from luxloop.loop.report.courses import write_courses
 from luxloop.loop.report.highlights import Highlights
+from luxloop.loop.report.onlooker import Onlooker
 from luxloop.loop.report.picture import MARKS_RGB, WALL_DEG, camera_luminance, marks, readable, rectangle, wall_light, white_of
 from luxloop.loop.report.run_table import processing
-from luxloop.loop.report.style import SHARES, columns, drawing, field, page_title, rows
+from luxloop.loop.report.style import SHARES, columns, drawing, field, no_frame, page_title, rows
 from luxloop.loop.report.symbol import HIGH_IN, draw_symbol
 from luxloop.loop.report.terminal import plural
-from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
+from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye, driver
 from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.columns import of_one
 from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.lamps import under
 from luxloop.loop.simulation.light_figures import ObservedSymbol
 from luxloop.loop.simulation.simulation import Simulation
+from luxloop.perception.eye import exposure_of
 from luxloop.world.frames import View, transform
 
 WIDE_IN, DPI = 13.0, 130
@@ -38,6 +42,8 @@ LIGHT_IN, ABOVE_IN = 8.6, 3.4  # height of the part on all light, and of its row
 TALLER_IN = 2.2  # added with a detector, for two large pictures of the camera, and with materials, for their chart
 WALL_COLUMNS = 480
 CHARACTERS = 125  # of marks, side by side, that fill a large picture of the camera
+LINE_IN, FACTS = 0.16, 225  # height of a line of facts, and its characters
+SMALL, HIGH = 3, {1: 2.0, 2: 2.2, 3: 3.2}  # pictures of the camera below the driver's; its height for their number, relative to theirs
 LEGEND = 110  # characters of a line of the legend of the camera's pictures
 OBSERVED = 4  # observers' pictures that fit side by side
 FAINTEST_ROAD_LX, BRIGHTEST_ROAD_LX, ROAD_LEVELS_LX = 0.1, 30.0, (1.0, 3.0)  # of the picture from above, and its lines
@@ -45,19 +51,22 @@ AROUND_M = 2.0  # margin around the light in the picture from above
 RAYS_ABOVE = 1e6  # of the picture from above, four for each pixel of the page
 
 
-def write_report(file: Path, simulation: Simulation, highlights: Highlights, table: pa.Table, summary: Summary) -> None:
-    """Draw a run of at least one step on one page: a part on all light, unless there are only symbols, and a part on each symbol.
+def write_report(file: Path, simulation: Simulation, highlights: Highlights, table: pa.Table, summary: Summary, manifest: Manifest) -> None:
+    """Draw a run of at least one step on one page: a part on all light, unless there are only symbols, a part on each symbol, and facts.
 
-    simulation: of the last step. table, summary: of the recording. Raises LuxloopError if the file cannot be written.
+    file: of the format that its suffix names. simulation: of the last step. table, summary, manifest: of the recording. Raises LuxloopError
+    if the file cannot be written.
     """
     shown = [each for each in highlights.symbols if each.last is not None and each.name in simulation.controlled]
     parts: list[tuple[float, Callable[[SubFigure], None]]] = []
     if not shown or not symbols_alone(simulation):
         high = LIGHT_IN + (simulation.pipeline is not None or bool(highlights.moments[-1].materials)) * TALLER_IN
-        parts.append((high, lambda figure: _draw_light(figure, simulation, highlights.moments, table, summary, high)))
+        parts.append((high, lambda figure: _draw_light(figure, simulation, highlights, table, summary, high)))
     for each in shown:
         own = of_one(table, each.name), summary["functions"][each.name]
         parts.append((HIGH_IN, partial(draw_symbol, simulation=simulation, history=each, table=own[0], summary=own[1])))
+    facts = _facts(simulation, summary, manifest)
+    parts.append((LINE_IN * (facts.count("\n") + 2), lambda figure: _write(figure, facts)))
     heights = [height for height, _ in parts]
     with drawing(file, (WIDE_IN, sum(heights)), dpi=DPI) as figure:
         for place, (_, draw) in zip(rows(figure, *heights), parts, strict=True):
@@ -72,17 +81,19 @@ def symbols_alone(simulation: Simulation) -> bool:
     return not (others or simulation.recorded_ids or scenario.detector or below)
 
 
-def _draw_light(
-    figure: SubFigure, simulation: Simulation, moments: Sequence[Evaluation], table: pa.Table, summary: Summary, high: float
-) -> None:
+def _draw_light(figure: SubFigure, simulation: Simulation, highlights: Highlights, table: pa.Table, summary: Summary, high: float) -> None:
     """Draw the part of a page on all light. high: its height in inches."""
+    moments = highlights.moments
     last, upper = moments[-1], high - ABOVE_IN
     page_title(figure, *_title(simulation, last, summary), size=12)
     left, right = columns(figure, 7.6, 5.4)
     observed = [(result, symbol) for result in moments for symbol in result.symbols][-OBSERVED:]
     heights = (upper, ABOVE_IN, 1.6) if observed else (upper, ABOVE_IN)
     top, bottom, *below = rows(left, *heights)
-    _cameras(top, simulation, moments)
+    if simulation.truth is None:
+        _cameras(top, simulation, moments)
+    else:
+        _views(top, simulation, highlights)
     _from_above(bottom.subplots(), simulation, last)
     for figure_below in below:
         _observers(figure_below, observed)
@@ -102,6 +113,45 @@ def _title(simulation: Simulation, last: Evaluation, summary: Summary) -> tuple[
         "" if folder is None else f"{SHADOW} {Path(folder).name}",
         processing(summary, "a step"),
     )
+
+
+def _facts(simulation: Simulation, summary: Summary, manifest: Manifest) -> str:
+    """What a reviewer asks of a run: when and with what it was made, the lamps and their notes, the checks."""
+    lamps = {module.lamp.name: module.lamp.notes for module in simulation.modules}
+    made = ", ".join(f"{name} {manifest.versions[name]}" for name in ("luxloop", "python", "torch"))
+    paragraphs = [
+        f"Run of {manifest.started_utc[:16].replace('T', ' ')} UTC with {made}; renderer {manifest.renderer}, seed {manifest.seed}, "
+        f"scenario {manifest.scenario_sha256[:12]}",
+        *(f"Lamp {name}. {' '.join(notes.split())}" for name, notes in lamps.items()),
+        *(f"{name}: {line}" for name, line in lines(summary).items()),
+    ]
+    return "\n".join(fill(each, FACTS) for each in paragraphs)
+
+
+def _write(figure: SubFigure, text: str) -> None:
+    figure.text(0.012, 1.0, text, fontsize=8, va="top", linespacing=1.3)
+
+
+def _views(figure: SubFigure, simulation: Simulation, highlights: Highlights) -> None:
+    """Draw what the driver sees while the functions are at work, and the camera's pictures below."""
+    busiest, moments = highlights.busiest, highlights.moments
+    white = float(max(white_of(result, simulation) for result in moments))
+    small = (moments[0], busiest) if busiest.detections is not None and busiest is not moments[0] else moments[:SMALL]
+    grid = figure.add_gridspec(2, len(small), height_ratios=(HIGH[len(small)], 1))
+    axes = figure.add_subplot(grid[0, :])
+    view = driver()
+    onlooker = Onlooker(
+        simulation.world, view, busiest.time_s, simulation.scenario.surface.lane_width_m, simulation.scenario.video.age_years
+    )
+    light, commands, exposure_ev = busiest.lights, busiest.now.commands, simulation.scenario.video.exposure_ev
+    if exposure_ev is None:
+        exposure_ev = exposure_of(onlooker.light(busiest.time_s, light, commands))
+    axes.imshow(onlooker.picture(busiest.time_s, light, commands, exposure_ev))
+    axes.set_title(f"The driver at {busiest.time_s:.2f} s, exposure {exposure_ev:.1f} EV", weight="normal")
+    no_frame(axes)
+    for number, result in enumerate(small):
+        _camera(figure.add_subplot(grid[1, number]), simulation, result, white)
+    figure.supxlabel(fill(_legend(simulation), LEGEND), x=0.02, ha="left", fontsize=8)
 
 
 def _cameras(figure: SubFigure, simulation: Simulation, moments: Sequence[Evaluation]) -> None:

@@ -14,7 +14,7 @@ import torch
 
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.recording.checks import Checks
-from luxloop.loop.recording.manifest import REPORT
+from luxloop.loop.recording.manifest import REPORT, Manifest
 from luxloop.loop.recording.record import schema
 from luxloop.loop.recording.recorder import Recorder, Tally
 from luxloop.loop.recording.replay import apply_edit
@@ -149,10 +149,10 @@ class Run:
         """
         self.end_recording()
 
-        def report(table: pa.Table, summary: dict[str, Any]) -> None:
+        def report(table: pa.Table, summary: dict[str, Any], manifest: Manifest) -> None:
             from luxloop.loop.report.page import write_report  # imports Matplotlib, late for a fast start
 
-            write_report(directory / REPORT, self.simulation, self.highlights, table, summary)
+            write_report(directory / REPORT, self.simulation, self.highlights, table, summary, manifest)
             gc.collect()  # see `luxloop.loop.run`
 
         with ExitStack() as stack:

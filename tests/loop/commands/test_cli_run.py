@@ -34,11 +34,19 @@ def test_run_replay_and_what_differs(lux, tmp_path):
     assert code == 0 and "agree" not in out
     assert list(pd.read_csv("steps.csv")["step"]) == [0, 1, 2, 3]
 
+    code, out, _ = lux("report", "runs/small")
+    assert code == 0 and out == "runs/small/report.pdf written\n" and (folder / "report.pdf").read_bytes().startswith(b"%PDF")
+    assert lux("report", "runs/small", "--out", "page.svg")[0] == 0 and "</svg>" in (tmp_path / "page.svg").read_text()
+    code, _, error = lux("report", "runs/small", "--out", "page.doc")
+    assert code == 2 and "page.doc" in error and ".pdf" in error and not (tmp_path / "page.doc").exists()
+
     manifest["scenario"]["functions"]["symbol"]["start"]["x_m"] = 18.5
     (folder / "manifest.json").write_text(json.dumps(manifest))
     code, out, _ = lux("replay", "runs/small", "--compare")
     assert code == 1
     assert "edited" in out and re.search(r"x_m +0 +18 +18.5 ", out)
+    assert lux("run", "small.toml", "--steps", "1", "--no-video", "--no-report")[0] == 0
+    assert not [*folder.glob("report.*")], "the page of the run before goes with it"
 
 
 def test_controller_starts_with_its_defaults_and_set_comes_on_top(lux, tmp_path):

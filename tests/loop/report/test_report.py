@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 
 from luxloop import ExtractionStatus, Simulation, run, validate
 from luxloop.loop.recording.functions_summary import summary_of
-from luxloop.loop.recording.manifest import REPORT, table_of
+from luxloop.loop.recording.manifest import REPORT, Manifest, table_of
 from luxloop.loop.recording.record import row, schema
-from luxloop.loop.report.highlights import Highlights, SymbolHistory
+from luxloop.loop.report.highlights import Highlights, SymbolHistory, busiest_step
 from luxloop.loop.report.page import DPI, LIGHT_IN, WIDE_IN, _from_near, write_report
 from luxloop.loop.report.symbol import HIGH_IN, _courses, outline_target
 from luxloop.loop.simulation.columns import of_one
@@ -36,14 +36,16 @@ def drawn(file: Path, simulation: Simulation, results: list[StepResult]) -> np.n
         rows.append(row(result))
     table = table_of(rows, schema(simulation))
     last = {name: result for result in results for name in result.held}
-    write_report(file, simulation, highlights, table, summary_of(simulation, table, last))
+    manifest = Manifest.of(simulation.scenario, simulation.renderer, simulation.device)
+    write_report(file, simulation, highlights, table, summary_of(simulation, table, last) | {"checks": {}}, manifest)
     page = cv2.imread(str(file))
     assert page is not None
     return page
 
 
-def size(height_in: float) -> tuple[int, int, int]:
-    return (round(DPI * height_in), round(DPI * WIDE_IN), 3)
+def holds(page: np.ndarray, height_in: float) -> bool:
+    """Whether a page has parts of this height, and a few lines of facts below."""
+    return page.shape[1] == round(DPI * WIDE_IN) and 0.2 < page.shape[0] / DPI - height_in < 1.6
 
 
 @pytest.fixture
@@ -90,7 +92,7 @@ def rotated_only(view: View) -> torch.Tensor:
 
 def test_page_is_readable_in_print_and_shows_target_and_past(tmp_path, small_simulation, small_results):
     page = drawn(tmp_path / "report.png", small_simulation, small_results)
-    assert page.shape == size(HIGH_IN)
+    assert holds(page, HIGH_IN)
     blue, green, red = (page[..., i].astype(int) for i in range(3))
     assert ((red > 80) & (green < 50) & (blue < 50)).sum() > 500, "no past symbol in red"
     assert ((blue > 200) & (green > 150) & (red < 80)).sum() > 200, "no target in cyan"
@@ -105,7 +107,7 @@ def test_page_of_an_unlucky_run(which, tmp_path, small_simulation, small_results
         "last step lost": [first, *others[:2], lost(others[2])],
         "all steps lost": [lost(first), lost(others[0])],
     }[which]
-    assert drawn(tmp_path / "report.png", small_simulation, results).shape == size(HIGH_IN)
+    assert holds(drawn(tmp_path / "report.png", small_simulation, results), HIGH_IN)
 
 
 @pytest.mark.slow
@@ -114,7 +116,7 @@ def test_page_of_two_lamps_seen_from_above(tmp_path):
     symbol = SYMBOL | toml("{ modules = ['left', 'right'], features = { view = 'birdseye', shape = 'moments' } }")
     simulation = simulation_of(validate(SMALL | {"headlight": lamps, "functions": {"symbol": symbol}, "steps": 2}, "two lamps"))
     assert len(simulation.symbol.projector.modules) == 2
-    assert drawn(tmp_path / "report.png", simulation, list(simulation.evaluations())).shape == size(HIGH_IN)
+    assert holds(drawn(tmp_path / "report.png", simulation, list(simulation.evaluations())), HIGH_IN)
 
 
 @pytest.mark.slow
@@ -123,9 +125,9 @@ def test_page_has_all_light_and_then_each_symbol(tmp_path):
     functions = {name: SYMBOL | {"y_m": y_m, "start": {"x_m": 17.0, "y_m": y_m}} for name, y_m in (("left", 1.6), ("right", -1.6))}
     simulation = simulation_of(validate(SMALL | {"objects": [car], "functions": functions, "steps": 4}, "lit"))
     results = list(simulation.evaluations())
-    assert drawn(tmp_path / "both.png", simulation, results).shape == size(LIGHT_IN + 2 * HIGH_IN)
+    assert holds(drawn(tmp_path / "both.png", simulation, results), LIGHT_IN + 2 * HIGH_IN)
     without = [replace(result, held={name: each for name, each in result.held.items() if name == "right"}) for result in results]
-    assert drawn(tmp_path / "one.png", simulation, without).shape == size(LIGHT_IN + HIGH_IN), "a symbol that was never shown has no part"
+    assert holds(drawn(tmp_path / "one.png", simulation, without), LIGHT_IN + HIGH_IN), "a symbol that was never shown has no part"
 
 
 @pytest.mark.parametrize(("z_m", "least_m"), [(0.0, 0.01), (4e-4, 0.01), (0.05, 0.05)])
@@ -190,3 +192,13 @@ def test_a_run_reports_if_wanted_and_leaves_no_simulation_behind(report, tmp_pat
         gc.enable()
     assert (tmp_path / REPORT).exists() == report
     assert simulations() == before, "hundreds of megabytes each"
+
+
+def test_main_picture_is_from_amid_the_time_in_which_most_is_on():
+    spans = {"early": (None, 1.0), "late": (0.6, 2.0), "all_along": (None, None)}
+    functions = {name: {"kind": "lane", "start_s": start, "stop_s": stop} for name, (start, stop) in spans.items()}
+    given = {key: value for key, value in SMALL.items() if key != "functions"} | {"steps": 60}
+    lanes = {name: {key: value for key, value in each.items() if value is not None} for name, each in functions.items()}
+    assert busiest_step(validate(given | {"functions": lanes}, "three")) == 24, "at 0.8 s of 2 s"
+    assert busiest_step(validate(given | {"functions": {"all_along": lanes["all_along"]}}, "one")) == 59
+    assert busiest_step(validate(given | {"functions": {"late": lanes["late"]}}, "one")) == 39, "at 1.3 s"
