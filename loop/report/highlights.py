@@ -36,7 +36,7 @@ class Highlights:
         frames = scenario.camera.latency_steps + tracker.confirm_frames if scenario.detector and isinstance(tracker, TrackerParams) else 1
         first = min(frames, steps) - 1
         self._busiest = busiest_step(scenario)
-        self._kept = {first + k * (steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS)} | {self._busiest}
+        self._kept = {first + k * (steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS)} | {self._busiest} - {None}
         known = {each.name for each in self.symbols}
         self.symbols += [SymbolHistory(name, simulation.scenario.steps) for name in simulation.controlled if name not in known]
 
@@ -47,8 +47,10 @@ class Highlights:
 
     @property
     def busiest(self) -> Evaluation:
-        """The step that shows the functions at work, or the last so far."""
-        return self._moments.get(self._busiest, self.moments[-1])
+        """The step that shows the functions at work: by their schedule, or the last one that draws most."""
+        if self._busiest in self._moments:
+            return self._moments[self._busiest]
+        return max(self.moments, key=lambda each: (0 if each.plan.primitives is None else len(each.plan.primitives), each.step))
 
     def add(self, result: Evaluation) -> None:
         """Add a step."""
@@ -57,14 +59,14 @@ class Highlights:
             each.add(result)
 
 
-def busiest_step(scenario: Scenario) -> int:
-    """The step amid the longest time in which most functions are scheduled; the last one where none has a schedule."""
+def busiest_step(scenario: Scenario) -> int | None:
+    """The step amid the longest time in which most functions are scheduled; None where none has a schedule."""
     end_s = scenario.steps / scenario.rate_hz
     timed = [each for each in scenario.functions.values() if isinstance(each, ScheduleParams)]
     spans = [(each.start_s or 0.0, end_s if each.stop_s is None else min(each.stop_s, end_s)) for each in timed]
     edges = sorted({0.0, end_s, *(time for span in spans for time in span if 0 < time < end_s)})
     if len(edges) == 2:
-        return scenario.steps - 1
+        return None
     start, stop = max(pairwise(edges), key=lambda at: (sum(a <= at[0] and at[1] <= b for a, b in spans), at[1] - at[0]))
     return min(int((start + stop) / 2 * scenario.rate_hz), scenario.steps - 1)
 
