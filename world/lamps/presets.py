@@ -193,6 +193,7 @@ def lamp(name: str, side: Literal["left", "right"] = "left", chromatic_shift: fl
     if side not in ("left", "right"):
         raise LuxloopError(f"a lamp's side is 'left' or 'right', not {side!r}")
     _, build, notes = _LAMPS[name]
-    modules = build(chromatic_shift)
-    bare = Lamp(name, modules if side == "left" else tuple(module.mirror() for module in modules), notes=notes)
+    mirrored = side == "right"
+    modules = (module.mirror() for module in lamp(name, "left", chromatic_shift).modules) if mirrored else build(chromatic_shift)
+    bare = Lamp(name, tuple(modules), notes=notes)
     return replace(bare, beams=FittedBeams(bare))
