@@ -36,7 +36,7 @@ class Highlights:
         frames = scenario.camera.latency_steps + tracker.confirm_frames if scenario.detector and isinstance(tracker, TrackerParams) else 1
         first = min(frames, steps) - 1
         self._busiest = busiest_step(scenario)
-        self._kept = {first + k * (steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS)} | {self._busiest} - {None}
+        self._kept = {self._busiest, *(first + k * (steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS))}
         known = {each.name for each in self.symbols}
         self.symbols += [SymbolHistory(name, simulation.scenario.steps) for name in simulation.controlled if name not in known]
 
