@@ -223,6 +223,7 @@ def run(
     device: Device = "auto",
     video: bool = True,
     view: Literal["camera", "driver", "chase", "above"] | None = None,
+    probe: list[str] | None = None,
     report: bool = True,
     frames: Flag = False,
     labels: Literal["coco", "kitti"] | None = None,
@@ -264,6 +265,8 @@ def run(
         Whether to write video.mp4.
     view
         What video.mp4 shows, as `--set video.view=...`: the camera's frames, or what people see.
+    probe
+        Lux meter, as NAME=X,Y,Z in m of the world; more by `--set probes.NAME=...`. Its illuminance becomes a column and a curve.
     report
         Whether to write report.png, which takes seconds.
     frames
@@ -289,7 +292,7 @@ def run(
     if twin and not arm:
         raise LuxloopError("--twin compares what a lit rig shows with the simulation; give --rig FILE and --arm as well")
     given |= {} if rig is None else {"plant": {"kind": "rig"}}
-    set = set if view is None else [*(set or ()), f"video.view={view}"]
+    set = [*(set or ()), *([] if view is None else [f"video.view={view}"]), *map(_probe, probe or ())]
     scenario = scenario_of(name, set, controller, itself, allow_code, **given)
     if scenario.digitised_module is not None and rig is None and plant is None:
         from luxloop.loop.simulation.digitised import needs_rig
@@ -316,6 +319,14 @@ def run(
     else:
         passed = run_scenario(scenario, folder, device, checks, kept)
     return OK if passed or not checks else FAILED
+
+
+def _probe(given: str) -> str:
+    """The override for a probe. Raises LuxloopError unless it is NAME=X,Y,Z."""
+    name, _, place = given.partition("=")
+    if not re.fullmatch(r"[^,]+(,[^,]+){2}", place):
+        raise LuxloopError(f"--probe {given}: give a name and a place in m, as --probe eye=50,1.75,1.1")
+    return f"probes.{name}.position_m=[{place}]"
 
 
 @app.command

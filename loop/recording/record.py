@@ -96,6 +96,7 @@ MODULE = {
     "intensity": ("1", "maximum intensity as a share of the undimmed one"),
 }
 MATERIAL = {"lx": ("lx", "illuminance"), "luminance": ("cd/m^2", "luminance")}
+PROBE = ("lx", "illuminance from the lamps on this probe, a mean over the step; empty while its object does not exist")
 NAN = torch.tensor(torch.nan)
 NO_METRICS = Metrics(NAN.expand(2), NAN, NAN, NAN, NAN)
 LOOKED_AT = {
@@ -127,6 +128,7 @@ def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
     columns |= {f"objects.{name}.{key}": of for name in simulation.recorded_ids for key, of in of_object.items()}
     columns |= {f"functions.{name}.{key}": of for name in simulation.controlled for key, of in SYMBOL.items()}
     columns |= {f"modules.{module}.{key}": MODULE[key] for module, key in moved(simulation.planner, simulation.modules)}
+    columns |= {f"probes.{name}.lx": PROBE for name in simulation.scenario.probes if simulation.truth is not None}
     zones = [name for name, function in simulation.scenario.functions.items() if function.kind == "zone"]
     columns |= {f"functions.{name}.{key}": of for name in zones for key, of in ZONE.items()}
     for name, quantity in quantities(simulation.scenario.functions).items():
@@ -169,6 +171,7 @@ def row(result: Evaluation) -> dict[str, Any]:
         values |= {f"functions.{name}.{key}": value for key, value in symbol_values(held).items()}
     for (name, _), command in zip(result.now.lights, result.now.commands, strict=False):  # no commands where all modules are at rest
         values |= {f"modules.{name}.{key}": getattr(command, key) for key in MODULE}
+    values |= {f"probes.{name}.lx": lx for name, lx in result.probes.items()}
     for name, zone in result.zones.items():
         values |= {f"functions.{name}.{key}": getattr(zone, key) for key in ZONE}
     for name, material in result.materials.items():

@@ -39,6 +39,8 @@ def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, su
         charts[lambda axes: _symbols(axes, table, held)] = 1.4
     if zones := zones_of(table):
         charts[lambda axes: _zones(axes, table, zones)] = 2.0
+    if probes := [name for name in table.column_names if name.startswith("probes.")]:
+        charts[lambda axes: _probes(axes, table, probes)] = 1.4
     if any(materials_of(table, quantity) for quantity in UNITS):
         charts[lambda axes: _materials(axes, table)] = 2.0
     shown, looks = brightest(summary["objects"]), simulation.pipeline is not None
@@ -113,6 +115,13 @@ def _zones(axes: Axes, table: pa.Table, zones: Sequence[str]) -> None:
         _curve(axes, table, f"functions.{name}.target", "--", color=colour, linewidth=0.9, marker="")
     axes.set(ylabel="cd/m²", ylim=(0, 1.08 * axes.dataLim.ymax))
     heading(axes, "Luminance of zones, and what is wanted (dashed)")
+
+
+def _probes(axes: Axes, table: pa.Table, probes: Sequence[str]) -> None:
+    for name, colour in zip(probes, cycle(COLOURS), strict=False):
+        _curve(axes, table, name, color=colour, label=plain_name(name.split(".")[1]))
+    axes.set(ylabel="lx", ylim=(0, None))
+    heading(axes, "The lamps' light on probes")
 
 
 def _materials(axes: Axes, table: pa.Table) -> None:

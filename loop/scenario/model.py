@@ -20,6 +20,7 @@ from luxloop.loop.scenario.checks import Baseline, CheckParams
 from luxloop.loop.scenario.disturbances import DisturbanceParams
 from luxloop.loop.scenario.overrides import Override, is_file, overridden, resolve_paths, tables, texts
 from luxloop.loop.scenario.plant import ModuleSourceParams, PlantParams, SimulatedPlantParams
+from luxloop.loop.scenario.probes import ProbeParams
 from luxloop.loop.scenario.shipped import find
 from luxloop.perception.camera import CameraParams
 from luxloop.perception.detection.detector import DetectorParams
@@ -140,6 +141,7 @@ class Scenario(Params):
         "on", description="with symbols under control: frames for the detector, with the measured symbols, without them, or both"
     )
     tracker: AnyTracker = Field(TrackerParams(), description="follows detections from frame to frame")
+    probes: Mapping[PlainName, ProbeParams] = Field({}, description="lux meters, by name")
     video: VideoParams = Field(VideoParams(), description="what the run's film shows")
 
     @field_validator("pixel_controller")
@@ -152,7 +154,7 @@ class Scenario(Params):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        for sentence in chain.from_iterable(topic(self) for topic in (_lamps, _modules, _exposures, _detection, _order)):
+        for sentence in chain.from_iterable(topic(self) for topic in (_lamps, _modules, _exposures, _detection, _probes, _order)):
             raise ValueError(sentence)
         return self
 
@@ -274,6 +276,14 @@ def _detection(scenario: Scenario) -> Iterator[str]:
             f"functions.{next(iter(keys.values()))}: names objects, but a detector knows only their class; "
             f"{' and '.join(remedies)}, or take the [detector] out"
         )
+
+
+def _probes(scenario: "Scenario") -> Iterator[str]:
+    """Frames of probes that nothing has."""
+    frames = ["world", "car", *(each.name for each in scenario.all_objects)]
+    for name, probe in scenario.probes.items():
+        if probe.frame not in frames:
+            yield f"probes.{name}.frame: there is no object {probe.frame!r}; {did_you_mean(probe.frame, frames)}"
 
 
 def _order(scenario: Scenario) -> Iterator[str]:

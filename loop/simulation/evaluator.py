@@ -34,6 +34,7 @@ from luxloop.loop.simulation.light_figures import (
     on_materials,
     on_objects,
 )
+from luxloop.loop.simulation.probes import illuminance_at
 from luxloop.loop.simulation.result import Clock, StepResult, without
 from luxloop.loop.simulation.road_metrics import over_setpoint
 from luxloop.loop.simulation.world import ObjectLight, World, categories
@@ -95,7 +96,7 @@ class Evaluation(StepResult):
     `[height, width]` cd/m^2 of all light. Both are in the camera's view, computed on access, None without the truth. objects: recorded
     objects by name. detections: None without a detector. symbols: symbols for an observer, in the observer's view. held: closed-loop
     symbols by name. zones, materials: by name. road_lx_ratio_max: see `over_setpoint`, None in a step without evaluation. oncoming_s:
-    start times, by name, of near oncoming road users.
+    start times, by name, of near oncoming road users. probes: illuminance in lx by name, a mean over the exposures.
     """
 
     masked: frozenset[str]
@@ -109,6 +110,7 @@ class Evaluation(StepResult):
     materials: Mapping[str, OnMaterial]
     road_lx_ratio_max: float | None
     oncoming_s: Mapping[str, float]
+    probes: Mapping[str, float]
 
     @property
     def symbol(self) -> SymbolStep:
@@ -181,11 +183,19 @@ class Evaluator:
             materials=materials,
             road_lx_ratio_max=self._road_ratio(result) if due else None,
             oncoming_s=oncoming_s,
+            probes=self._probes(result),
         )
         clock.lap("look")
         return replace(
             evaluation, timings={key: result.timings.get(key, 0.0) + clock.ms.get(key, 0.0) for key in {**result.timings, **clock.ms}}
         )
+
+    def _probes(self, result: StepResult) -> Mapping[str, float]:
+        if self.world is None:
+            return {}
+        lights = [illuminance_at(self.scenario.probes, self.world, each.start_s, each.lights, each.commands) for each in result.exposures]
+        shares = self.scenario.shares
+        return {name: sum(share * lx[name] for share, lx in zip(shares, lights, strict=True)) for name in self.scenario.probes}
 
     def _oncoming(self, now: Situation, before: Evaluation | None) -> Mapping[str, float]:
         """Start times of near oncoming road users, by name; empty without a detector or metered light."""

@@ -96,3 +96,12 @@ def test_failure_in_the_midst_keeps_the_steps_and_says_why(lux, tmp_path, monkey
     monkeypatch.setattr(Simulation, "run", run)
     assert lux("run", "small.toml", "--no-video") == (2, "", "error: the lamp is broken; correct it\n")
     assert len(pd.read_parquet(tmp_path / "runs" / "small" / "trajectory.parquet")) == 1
+
+
+def test_probes_of_the_command_line_become_columns(lux, tmp_path):
+    arguments = ["run", "small.toml", "--steps", "1", "--no-video", "--no-report"]
+    assert lux(*arguments, "--probe", "eye=20,0.5,1.1", "--probe", "edge=18,-1.7,0.25")[0] == 0
+    table = pd.read_parquet(tmp_path / "runs" / "small" / "trajectory.parquet")
+    assert {"probes.eye.lx", "probes.edge.lx"} <= set(table.columns) and table["probes.edge.lx"].notna().all()
+    code, _, error = lux(*arguments, "--probe", "eye=20,0.5")
+    assert code == 2 and "eye=20,0.5:" in error

@@ -1,0 +1,55 @@
+"""Probes: lux meters at places of the world, of the car or of an object."""
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import torch
+from torch import Tensor
+
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.scenario.probes import ProbeParams
+from luxloop.loop.simulation.world import World
+from luxloop.world.frames import transform, unit
+from luxloop.world.headlight.lamp import REST, Commands
+from luxloop.world.rendering.raycast import TOLERANCE_M, sees
+
+INSIDE_M: Final = 1.5  # in front of an object's probe, which may lie in the object, such as a driver's eye
+
+
+def illuminance_at(
+    probes: Mapping[str, ProbeParams], world: World, time_s: float, lights: Sequence[Utilisation], commands: Commands = ()
+) -> dict[str, float]:
+    """Illuminance in lx from the lamps on each probe, `E = I cos / d^2` (T eq. 2.1.5); NaN while its object does not exist."""
+    lit = world.lit(time_s)
+    found = dict[str, float]()
+    for name, probe in probes.items():
+        T_world_frame = _frame(probe, world, time_s)
+        if T_world_frame is None:
+            found[name] = float("nan")
+            continue
+        place = transform(T_world_frame, torch.tensor(probe.position_m, dtype=torch.float64)[:, None])
+        normal = None if probe.facing is None else unit(T_world_frame[:3, :3] @ torch.tensor(probe.facing, dtype=torch.float64))
+        found[name] = 0.0
+        for module, light, command in zip(lit.modules, lights, commands or (REST,) * len(lit.modules), strict=True):
+            if not bool(light.u.any()):
+                continue
+            T_world_headlight = lit.vehicle.T_world_body @ command.turn(module.T_body_headlight).double().cpu()
+            away = T_world_headlight[:3, 3:] - place
+            distance = away.norm()
+            cos = 1.0 if normal is None else max(float(normal @ away[:, 0] / distance), 0.0)
+            near = TOLERANCE_M if probe.frame in ("world", "car") else INSIDE_M
+            if cos and bool(sees(lit.triangles, T_world_headlight[:3, 3], place, near)):
+                texture = module.textures.light_texture(light.u).double().cpu()
+                ray = T_world_headlight[:3, :3].T @ -away
+                found[name] += command.intensity * float(module.headlight.intensity(texture, ray)) * cos / float(distance) ** 2
+    return found
+
+
+def _frame(probe: ProbeParams, world: World, time_s: float) -> Tensor | None:
+    """`T_world_frame` `[4, 4]` of a probe, None while its object does not exist."""
+    if probe.frame == "world":
+        return torch.eye(4, dtype=torch.float64)
+    if probe.frame == "car":
+        return world.motion.at(time_s).T_world_body
+    track = next(each.track for each in world.scene.objects if each.name == probe.frame)
+    return track.pose_at(time_s) if track.visible_at(time_s) else None

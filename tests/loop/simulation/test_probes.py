@@ -1,0 +1,96 @@
+"""Probes: lux meters that agree with the lamp's intensity, stand still, ride along, and see shadows."""
+
+import math
+
+import pytest
+import torch
+
+from luxloop import LuxloopError, Simulation, load, run
+from luxloop.loop.recording.record import row, schema
+
+CAMERA = {"width_px": 160, "height_px": 90, "oversampling": 1}
+BOARD = {"kind": "box", "name": "board", "size_m": [0.2, 6.0, 3.0], "albedo": 0.3, "track": [{"position_m": [40.0, 0.0, 0.0]}]}
+
+
+def lit(probes, **values):
+    given = {
+        "camera": CAMERA,
+        "steps": 1,
+        "functions": {},
+        "objects": [],
+        "lighting": {"base": {"beam": "high"}},
+        "probes": probes,
+    } | values
+    simulation = Simulation.prepare(load("gfhb", **given))
+    result = simulation.evaluate(simulation.step(simulation.start())[1])
+    return simulation, result
+
+
+def test_a_probe_measures_intensity_over_distance_squared_and_the_cosine():
+    place = (25.0, 0.7, 0.9)
+    _, result = lit({"facing_lamps": {"position_m": place}, "upright": {"position_m": place, "facing": [-1.0, 0.0, 0.0]}})
+    simulation, _ = lit({})
+    facing = upright = 0.0
+    for module, u in zip(simulation.world.modules, result.lights, strict=True):
+        T = module.T_body_headlight.double()
+        way = torch.tensor(place, dtype=torch.float64)[:, None] - T[:3, 3:]
+        cd = float(module.headlight.intensity(module.headlight.light_texture(u).double(), T[:3, :3].T @ way))
+        facing += cd / float(way.norm()) ** 2
+        upright += cd / float(way.norm()) ** 2 * float(way[0] / way.norm())
+    assert facing > 1
+    # 1e-5: the texture is float32
+    assert result.probes == pytest.approx({"facing_lamps": facing, "upright": upright}, rel=1e-5)
+
+
+def test_a_probe_agrees_with_the_light_on_a_surface_there():
+    simulation, result = lit({"on_board": {"position_m": [39.899, 0.3, 0.8], "facing": [-1, 0, 0]}}, objects=[BOARD])
+    seen = simulation.world.lit(0.0)
+    lx = simulation.world.illuminance(0.0, result.exposures[0].lights).flatten()
+    place = seen.surfaces.position.flatten(1)
+    away = (place - torch.tensor([[39.9], [0.3], [0.8]])).norm(dim=0)
+    # a pixel spans 0.2 m of the board, over which the high beam changes by some percent
+    assert result.probes["on_board"] == pytest.approx(float(lx[away.argmin()]), rel=0.1)
+
+
+def test_what_stands_before_a_probe_shades_it_and_what_carries_it_does_not():
+    behind = {"behind": {"position_m": [45.0, 0.0, 0.8]}, "inside": {"position_m": [0.0, 0.0, 0.8], "frame": "board"}}
+    _, result = lit(behind, objects=[BOARD])
+    assert result.probes["behind"] == 0 and result.probes["inside"] > 1
+    _, free = lit({"behind": behind["behind"]})
+    assert free.probes["behind"] > 1
+
+
+def test_frames_ride_along_and_a_probe_of_a_vanished_object_is_empty():
+    moving = (
+        BOARD | {"vanishes_s": 0.15} | {"track": [{"time_s": 0.0, "position_m": [40.0, 0, 0]}, {"time_s": 1.0, "position_m": [20.0, 0, 0]}]}
+    )
+    probes = {"rides": {"position_m": [-0.2, 0.0, 0.8], "frame": "board"}, "ahead": {"position_m": [30.0, 0.0, 0.8], "frame": "car"}}
+    simulation, first = lit(probes, objects=[moving], rate_hz=10.0, steps=3)
+    states, found = simulation.start(), []
+    for _ in range(3):
+        states, result = simulation.step(states)
+        found.append(simulation.evaluate(result).probes)
+    assert found[1]["rides"] > 1.05 * found[0]["rides"] and math.isnan(found[2]["rides"])
+    assert found[0]["ahead"] == pytest.approx(found[1]["ahead"])
+    assert {"probes.rides.lx", "probes.ahead.lx"} <= set(schema(simulation).names)
+    assert row(first)["probes.ahead.lx"] == found[0]["ahead"]
+
+
+def test_probes_are_columns_that_checks_hold(tmp_path):
+    checks = {"seen": {"metric": "probes.eye.lx", "take": "max", "at_most": 1e6}}
+    values = {"camera": CAMERA, "steps": 2, "probes": {"eye": {"position_m": [50, 1.75, 1.1]}}, "checks": checks}
+    result = run(load("gfhb", **values), tmp_path / "run", video=False)
+    assert result.summary["checks"]["seen"]["passed"] and result.trajectory["probes.eye.lx"].to_pylist()[0] >= 0
+
+
+@pytest.mark.parametrize(
+    ("probe", "told"),
+    [
+        ({"position_m": [1, 2, 3], "frame": "bord"}, "board"),
+        ({"position_m": [1, 2, 3], "facing": [0, 0, 0]}, "direction"),
+        ({}, "position_m"),
+    ],
+)
+def test_a_probe_nowhere_is_refused(probe, told):
+    with pytest.raises(LuxloopError, match=rf"probes\.eye.*{told}"):
+        load("gfhb", objects=[BOARD], functions={}, probes={"eye": probe})
