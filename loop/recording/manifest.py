@@ -38,7 +38,7 @@ BEAM = "beam.png"  # the last light that was digitised live
 PAGES = (REPORT, "report.pdf", "report.svg")  # formats of the report
 FILES = (TRAJECTORY, SUMMARY, *PAGES, VIDEO, EDITS, RIG, TWIN, TWIN_PICTURE, BEAM, MANIFEST)
 FORMAT_VERSION: Final = 1
-PACKAGES = ("luxloop", "torch", "numpy", "scipy", "kornia", "opencv-contrib-python-headless", "PyOpenGL", "trimesh", "embreex", "pyarrow")
+PACKAGES = ("luxloop", "torch", "numpy", "scipy", "kornia", "opencv-contrib-python-headless", "pyrender", "trimesh", "embreex", "pyarrow")
 
 
 class InputFile(Params):

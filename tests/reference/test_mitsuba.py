@@ -12,7 +12,6 @@ from types import ModuleType
 import numpy as np
 import pytest
 import torch
-import trimesh
 from scipy.ndimage import maximum_filter, minimum_filter
 from torch import Tensor
 
@@ -101,7 +100,7 @@ def their_illuminance(mi: ModuleType, shapes: dict, view: View, emitters: list[d
 def shape(mi: ModuleType, body: Body, folder: Path) -> dict:
     """A body as Mitsuba's mesh, without vertex normals: Mitsuba works out its own."""
     T, file = body.track.pose_at(0.0).numpy(), folder / f"{body.name}.ply"
-    mesh = trimesh.Trimesh(body.mesh.vertices, body.mesh.faces, process=False)
+    mesh = body.mesh.copy()
     mesh.apply_transform(T)
     mesh.export(file, vertex_normal=False)
     return {

@@ -15,7 +15,6 @@ from luxloop.world.rendering.surfaces import face_source
 from luxloop.world.roads.shapes import Bumps, Flat, Grade, Iso8608
 from luxloop.world.scene.body import Body, PoseTrack
 from luxloop.world.scene.ground import road_mesh
-from luxloop.world.scene.mesh import Mesh
 from luxloop.world.scene.scene import Scene
 from luxloop.world.scene.triangles import Triangles
 from luxloop.world.texels import TexelGrid
@@ -28,7 +27,7 @@ WIDE = TexelGrid.from_degrees(1, 1, 20, -20, -10, 5).view(pose_from_degrees((0, 
 DISTANCES_M = (5, 10, 20, 40, 60)
 
 
-def scene_with(road: Mesh | trimesh.Trimesh, *bodies: Body) -> Triangles:
+def scene_with(road: trimesh.Trimesh, *bodies: Body) -> Triangles:
     return Scene((Body("road", road, smooth=True), *bodies)).at(0.0)
 
 
@@ -97,7 +96,7 @@ def test_no_road_throws_shadows_that_are_not_there(road):
     mesh = road_mesh(road)
     triangles, seen = scene_with(mesh), 0
     for x_m in DISTANCES_M:
-        points = mesh_points(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False), x_m)
+        points = mesh_points(mesh, x_m)
         found = sees(triangles, WIDE.origin, points.float())
         dark = points[:, ~found]  # in float32 they may be off by the other half of the tolerance
         assert not dark.numel() or hidden(triangles, WIDE, dark, TOLERANCE_M / 2).all(), x_m

@@ -6,7 +6,6 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from luxloop.world.caches import Part
 from luxloop.world.frames import View
 from luxloop.world.scene.triangles import Hits, Triangles, intersect, on_planes
 
@@ -21,9 +20,8 @@ class RayCaster:
 
     name = "embree"
 
-    def face_ids(self, triangles: Triangles, view: View, part: Part | None = None) -> Tensor:
-        """As `FaceSource.face_ids`."""
-        view = view if part is None else view.within(*part)
+    def face_ids(self, triangles: Triangles, view: View) -> Tensor:
+        """Id of the nearest face through each pixel's centre, `[height, width]` int64, -1 where there is none."""
         return first_hits(triangles, view.origin, view.rays().flatten(1)).reshape(view.height, view.width)
 
 

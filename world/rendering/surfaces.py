@@ -24,8 +24,8 @@ class FaceSource(Protocol):
     @property
     def name(self) -> str: ...
 
-    def face_ids(self, triangles: Triangles, view: View, part: Part | None = None) -> Tensor:
-        """Id of the nearest face through the centre of each pixel of a part of a view, `[height, width]` int64, -1 where there is none."""
+    def face_ids(self, triangles: Triangles, view: View) -> Tensor:
+        """Id of the nearest face through each pixel's centre, `[height, width]` int64, -1 where there is none."""
         ...
 
 
@@ -41,9 +41,9 @@ class FirstFound:
     def name(self) -> str:
         return self.found.name
 
-    def face_ids(self, triangles: Triangles, view: View, part: Part | None = None) -> Tensor:
+    def face_ids(self, triangles: Triangles, view: View) -> Tensor:
         """As of the chosen face source."""
-        return self.found.face_ids(triangles, view, part)
+        return self.found.face_ids(triangles, view)
 
 
 def face_source(name: Literal["auto", "opengl", "raycast"] = "auto") -> FaceSource:
@@ -66,8 +66,8 @@ class ExactSurfaces:
     source: FaceSource
 
     def gbuffer(self, triangles: Triangles, view: View, part: Part | None = None) -> GBuffer:
-        face_ids = self.source.face_ids(triangles, view, part)
-        return gbuffer(triangles, view if part is None else view.within(*part), face_ids)
+        view = view if part is None else view.within(*part)
+        return gbuffer(triangles, view, self.source.face_ids(triangles, view))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ from luxloop.world.materials.brdf import LAMBERTIAN, Material
 from luxloop.world.materials.library import MaterialName, SpottedTexture, Texture
 from luxloop.world.roads.base import Road
 from luxloop.world.scene.embree import EmbreeMesh
-from luxloop.world.scene.mesh import Mesh
 
 if TYPE_CHECKING:
     import trimesh
@@ -136,7 +135,7 @@ class Body:
     """
 
     name: str
-    mesh: "Mesh | trimesh.Trimesh"
+    mesh: "trimesh.Trimesh"
     albedo: float = 0.2
     texture: Texture | SpottedTexture | None = None
     material: Material = LAMBERTIAN

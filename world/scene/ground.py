@@ -1,23 +1,28 @@
 """The road as bodies, meshed on demand: as a whole, in tiles along a given course, in patches around a vehicle under manual control."""
 
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from luxloop.world.roads.base import Floats, Road
+from luxloop.world.roads.scan import OpenCrgRoad
+from luxloop.world.roads.shapes import OwnRoad
+
+if TYPE_CHECKING:
+    import trimesh
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from luxloop.world.caches import keeping
 from luxloop.world.materials.library import SpottedTexture, Texture
-from luxloop.world.roads.base import Floats, Road
-from luxloop.world.roads.scan import OpenCrgRoad
-from luxloop.world.roads.shapes import OwnRoad
 from luxloop.world.scene.body import Body, PoseTrack
-from luxloop.world.scene.mesh import Mesh
 from luxloop.world.scene.triangles import Instance
 
 SCENE_X_M = (-6.0, 120.0)
@@ -32,7 +37,7 @@ def refuse_broken(road: Road) -> None:
         road.z(np.array(SCENE_X_M)[:, None], np.array(SCENE_Y_M))
 
 
-def road_mesh(road: Road) -> Mesh:
+def road_mesh(road: Road) -> "trimesh.Trimesh":
     """Mesh of a road in the vehicle frame: vertices in m (float64) on the surface, counter-clockwise seen from above, so normals point up.
 
     Between 150,000 and 400,000 faces over x = -6 to 120 m, y = -25 to 25 m; a flat road needs fewer than 10,000.
@@ -44,11 +49,16 @@ def road_mesh(road: Road) -> Mesh:
     return grid_mesh(X, Y, road.z(X, Y))
 
 
-def grid_mesh(x: Floats, y: Floats, z: Floats, normals: Floats | None = None) -> Mesh:
+def grid_mesh(x: Floats, y: Floats, z: Floats, normals: Floats | None = None) -> "trimesh.Trimesh":
     """Mesh of a grid of vertices `[n_x, n_y]` m. normals: their directions `[n_x, n_y, 3]`, None for those of the faces."""
-    if normals is not None:
+    import trimesh  # takes a seventh of a command's start, and only views need it
+
+    vertices, faces = np.stack([x, y, z], axis=-1).reshape(-1, 3), _grid_faces(*x.shape)
+    if normals is None:  # of another mesh, whose intermediate results, 300 bytes a vertex, end with it
+        normals = trimesh.Trimesh(vertices, faces, process=False).vertex_normals
+    else:
         normals = (normals / np.linalg.norm(normals, axis=-1, keepdims=True)).reshape(-1, 3)
-    return Mesh(np.stack([x, y, z], axis=-1).reshape(-1, 3), _grid_faces(*x.shape), normals)
+    return trimesh.Trimesh(vertices, faces, vertex_normals=normals, process=False)
 
 
 def _grid_faces(n_x: int, n_y: int) -> NDArray[np.int64]:
@@ -229,6 +239,6 @@ def _lines(start: float, spacing: float, required: tuple[float, ...]) -> Floats:
     return np.unique(np.concatenate([regular, [line for line in required if start < line < start + SIDE_M]]))
 
 
-def _instance(road: StandingRoad | RoadTiles | RoadPatches, object_id: int, mesh: Mesh) -> Instance:
+def _instance(road: StandingRoad | RoadTiles | RoadPatches, object_id: int, mesh: "trimesh.Trimesh") -> Instance:
     body = Body(road.name, mesh, road.albedo, road.texture, smooth=True)
     return Instance(object_id, body, torch.eye(4, dtype=torch.float64))

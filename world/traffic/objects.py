@@ -11,7 +11,6 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.materials.library import MATERIALS, MaterialName
 from luxloop.world.params import Positive, Share
 from luxloop.world.scene.body import Body, Part
-from luxloop.world.scene.mesh import box
 from luxloop.world.traffic.animal import AnimalParams
 from luxloop.world.traffic.car import CarParams
 from luxloop.world.traffic.people import CyclistParams, PedestrianParams
@@ -127,8 +126,11 @@ class BoxParams(SolidParams):
     size_m: tuple[Side, Side, Side] = Field(examples=[[0.4, 0.4, 0.3]], description="length (x), width (y), height (z)")
 
     def build(self) -> Body:
-        mesh = box(self.size_m, (0, 0, self.size_m[2] / 2))
-        return Body(self.name, mesh, track=self.pose_track(), parts=(self.part("surface"),))
+        import trimesh
+
+        box = trimesh.creation.box(self.size_m)
+        box.apply_translation((0, 0, self.size_m[2] / 2))
+        return Body(self.name, box, track=self.pose_track(), parts=(self.part("surface"),))
 
 
 class MeshParams(SolidParams):

@@ -2,11 +2,13 @@
 
 from dataclasses import dataclass
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from luxloop.world.scene.mesh import Mesh, box
+if TYPE_CHECKING:
+    import trimesh
 
 Floats = NDArray[np.float64]
 
@@ -83,9 +85,16 @@ def ellipsoid(part: str, centre: ArrayLike, radii: ArrayLike, sides: int = 12, r
 
 def block(part: str, centre: ArrayLike, size: ArrayLike) -> Piece:
     """A box along the axes, with corners of its own for each face, so that smooth normals leave its edges sharp."""
-    mesh = box(size, centre)
-    corners = mesh.vertices[mesh.faces].reshape(-1, 3)
+    corners = _cube() * np.asarray(size, float) + np.asarray(centre, float)
     return Piece(part, corners, np.arange(len(corners)).reshape(-1, 3))
+
+
+@cache
+def _cube() -> Floats:
+    """Corners `[36, 3]` of the faces of a cube of side 1, one after the other."""
+    import trimesh
+
+    return np.array(trimesh.creation.box().triangles).reshape(-1, 3)
 
 
 def plate(part: str, corners: ArrayLike) -> Piece:
@@ -110,10 +119,12 @@ def blob(part: str, centre: ArrayLike, radii: ArrayLike, rng: np.random.Generato
     return Piece(part, away * np.asarray(radii, float) + np.asarray(centre, float), np.asarray(ball.faces, dtype=np.int64))
 
 
-def join(pieces: list[Piece]) -> tuple[Mesh, tuple[str, ...], NDArray[np.int64]]:
+def join(pieces: list[Piece]) -> tuple["trimesh.Trimesh", tuple[str, ...], NDArray[np.int64]]:
     """One mesh, the names of its parts in order, and the part index `[F]` of each face."""
+    import trimesh
+
     names = tuple(dict.fromkeys(piece.part for piece in pieces))
     firsts = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
     faces = np.concatenate([piece.faces + first for piece, first in zip(pieces, firsts[:-1], strict=True)])
     of_face = np.concatenate([np.full(len(piece.faces), names.index(piece.part)) for piece in pieces])
-    return Mesh(np.concatenate([piece.vertices for piece in pieces]), faces), names, of_face
+    return trimesh.Trimesh(np.concatenate([piece.vertices for piece in pieces]), faces, process=False), names, of_face
