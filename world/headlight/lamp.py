@@ -44,7 +44,8 @@ class Module:
     """One module: its light, mount and ranges of movement.
 
     T_lamp_module: `[4, 4]` float64, from the module's headlight frame to the lamp's. swivel_deg: least and greatest turn about the
-    mount's z axis, to the left positive (bending). level_deg: the same about its y axis, nose down positive (levelling).
+    mount's z axis, to the left positive (bending). level_deg: the same about its y axis, nose down positive (levelling). draws_only: fitted
+    beams leave it dark, for what lighting functions draw.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Module:
     T_lamp_module: Tensor = field(default_factory=lambda: torch.eye(4, dtype=torch.float64))
     swivel_deg: Range = (0.0, 0.0)
     level_deg: Range = (0.0, 0.0)
+    draws_only: bool = False
 
     def pose(self, swivel_deg: float = 0.0, level_deg: float = 0.0) -> Tensor:
         """`T_lamp_module` `[4, 4]` of the module turned about its photometric centre. Raises LuxloopError beyond its range."""

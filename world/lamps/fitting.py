@@ -1,6 +1,7 @@
 """Fit of all modules of a lamp together to a pattern, within the limits of the pattern's rules."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,12 +28,13 @@ LEAST_PIXELS = 8
 
 
 def fit(lamp: Lamp, pattern: Pattern, traffic: Traffic = "right") -> tuple[Tensor, ...]:
-    """Utilisations `[n_p]`, one per module, with which the lamp comes closest to a pattern.
+    """Utilisations `[n_p]`, one per module, with which the lamp comes closest to a pattern; modules that only draw are dark.
 
     The limits of the pattern's rules take precedence over its form if the lamp can meet those within its field
     (`luxloop.check_beam`). traffic: on the left, the pattern and its rules are mirrored.
     """
-    return LampFit(lamp).fit(pattern, traffic)
+    fitted = iter(LampFit(replace(lamp, modules=tuple(each for each in lamp.modules if not each.draws_only))).fit(pattern, traffic))
+    return tuple(torch.zeros(each.headlight.n_pixels) if each.draws_only else next(fitted) for each in lamp.modules)
 
 
 class LampFit:

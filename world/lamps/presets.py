@@ -30,6 +30,12 @@ Published (thesis, T 2.2, 5.1, 8.4): modules LoRes and HiRes of 64 x 256 pixels 
 light and auxiliary high beam; a static cornering light; the HiRes module lights the road from 15.3 m at 0.75 m (-3 deg).
 Published (auto motor und sport, December 2022): up to 45 lx (LoRes) and 120 lx (HiRes), read as at 25 m, courtesy light +-45 deg.
 Guessed: blur and overlap (by calibration), widening, the three small modules, where they sit in the lamp, how far they turn."""
+HYBRID_NOTES = """\
+Published: pixel count and field of LoRes as of ssl-hd; pixel count, extent and minimal overlap of the module HD as of the idealised lamp
+(T 9.4.3).
+Guessed: their combination, since lamps with micromirrors have coarser modules for the rest of the beam; 1.7 times the light of LoRes, for
+a high beam of class B; that HD only draws what lighting functions ask for; its 75 kcd, as HiRes has; its field from +1 deg to -4 deg,
+which lights the road from 9.4 m at 0.66 m; where both sit in the lamp."""
 DMD_NOTES = """Published (Driving Vision News, January 2025, of the first such module): 1.3 million mirrors on 14 x 7 deg, 50 kcd at most.
 Guessed: 1152 x 1152 mirrors, twice as wide as high, from 2 deg up to 5 deg down, even light, sharp edges."""
 
@@ -146,6 +152,16 @@ def _ideal(chromatic_shift: float) -> tuple[Module, ...]:
     return (Module("matrix", idealised()),)
 
 
+def _hybrid_hd(chromatic_shift: float) -> tuple[Module, ...]:
+    if chromatic_shift:
+        raise LuxloopError("the lamp hybrid-hd has no coloured edges: leave chromatic_shift at 0")
+    light = idealised(texels_per_pixel=(2, 1), top_deg=1.0, bottom_deg=-4.0, intensity_cd=75_000)
+    return (
+        Module("lores", matrix("ssl-hd-lores").scale(1.7), pose_from_degrees((0.0, 0.05, -0.04))),
+        Module("hd", light, pose_from_degrees((0.0, -0.05, -0.04)), draws_only=True),
+    )
+
+
 def _alone(module: str, name: str) -> Callable[[float], tuple[Module, ...]]:
     return lambda chromatic_shift: (Module(module, matrix(name, chromatic_shift)),)
 
@@ -175,6 +191,7 @@ _LAMPS: dict[str, tuple[str, Callable[[float], tuple[Module, ...]], str]] = {
         f"The module HiRes alone, of the lamp of which the rest tells.\n{SSL_HD_NOTES}",
     ),
     "ssl-hd": ("the lamp around both: LoRes, HiRes, auxiliary high beam, courtesy light, cornering light", _ssl_hd, SSL_HD_NOTES),
+    "hybrid-hd": ("64 x 256 blurred pixels for the beams, 332 x 1024 on 20 x 5 deg for symbols", _hybrid_hd, HYBRID_NOTES),
     "dmd-1m3": ("1.3 million micromirrors on 14 x 7 deg", _alone("matrix", "dmd-1m3"), DMD_NOTES),
 }
 NAMES = tuple(_LAMPS)

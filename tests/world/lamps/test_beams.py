@@ -50,10 +50,27 @@ def test_the_beams_differ_as_they_should():
 # What the lamp makes of it
 
 
-@pytest.mark.parametrize(("beam", "rule"), [(beam, rule) for beam, values in PATTERNS.items() for rule in values.rules])
-def test_the_hd_lamp_keeps_the_rules(beam, rule, ssl_hd):
-    results = check_beam(lambda d: ssl_hd.intensity(ssl_hd.beams[beam], d), rule)
+RULES = [(beam, rule) for beam, values in PATTERNS.items() for rule in values.rules]
+
+
+@pytest.fixture(scope="module")
+def hybrid_hd() -> Lamp:
+    return lamp("hybrid-hd")
+
+
+@pytest.mark.parametrize(("beam", "rule"), RULES)
+@pytest.mark.parametrize("name", ["ssl_hd", "hybrid_hd"])
+def test_the_hd_lamps_keep_the_rules(beam, rule, name, request):
+    hd = request.getfixturevalue(name)
+    results = check_beam(lambda d: hd.intensity(hd.beams[beam], d), rule)
     assert passes(results), [each for each in results if each.verdict == "fail"]
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_module_for_symbols_is_dark_in_beams(side):
+    hybrid = lamp("hybrid-hd", side)
+    (lores, hd), full = hybrid.beam("low"), hybrid.beam("full")
+    assert lores.any() and not hd.any() and all(bool((u == 1).all()) for u in full)
 
 
 def test_the_rules_named_are_those_that_are_asked_for():

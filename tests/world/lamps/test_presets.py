@@ -23,6 +23,7 @@ def seen(lamp: Lamp, h_deg: Tensor, v_deg: Tensor) -> Tensor:
         ("ssl-hd-lores", [(64, 256)]),
         ("ssl-hd-hires", [(64, 256)]),
         ("ssl-hd", [(64, 256), (64, 256), (1, 3), (1, 3), (1, 1)]),
+        ("hybrid-hd", [(64, 256), (332, 1024)]),
         ("dmd-1m3", [(1152, 1152)]),
     ],
 )
@@ -38,7 +39,7 @@ def test_pixels_are_those_published_and_memory_is_bounded(name, pixels):
 
 
 def test_all_names_are_tested():
-    assert set(NAMES) == {"idealised-332x1024", "hd84", "ssl-hd-lores", "ssl-hd-hires", "ssl-hd", "dmd-1m3"}
+    assert set(NAMES) == {"idealised-332x1024", "hd84", "ssl-hd-lores", "ssl-hd-hires", "ssl-hd", "hybrid-hd", "dmd-1m3"}
     assert all("Published" in lamp(name).notes and "Guessed" in lamp(name).notes for name in NAMES)
 
 
