@@ -37,7 +37,7 @@ def build_motion(scenario: Scenario, cache: PartCache) -> Motion:
 def build_scene(scenario: Scenario, motion: Motion = STANDING, cache: PartCache | None = None) -> Scene:
     """Road along the vehicle's course, and objects. Raises LuxloopError for a missing or broken file."""
     cache, vehicle, road, albedo = cache or PartCache(), scenario.vehicle, find_road(scenario.road), scenario.surface.albedo
-    texture = cache("texture", SpottedTexture, scenario.surface, scenario.spots)
+    texture = cache("texture", SpottedTexture, scenario.surface, scenario.spots, motion is not STANDING)
     objects = tuple(cache(f"object {item.name}", _object, item, road) for item in scenario.all_objects)
     sight_m = SIGHT_M if scenario.traffic is None else max(SIGHT_M, scenario.traffic.sight_m + AROUND_M)
     ground: Ground

@@ -64,6 +64,7 @@ class Texture:
 
     albedo: `[n_x, n_y]` float32; texel (i, j) has its centre at `origin_m + ((i, j) + 1/2) * texel_m`.
     materials: those of the surface, and their names. material: `[n_x, n_y]` uint8, which of them a texel is made of; None: of the first.
+    shifts: `[n]` float64, whole texels by which the repetitions along x, counted from the origin modulo n, are shifted along y; None: none.
     """
 
     albedo: Tensor
@@ -72,6 +73,7 @@ class Texture:
     materials: tuple[Material, ...] = (LAMBERTIAN,)
     material: Tensor | None = None
     names: tuple[MaterialName, ...] = ("matt",)
+    shifts: Tensor | None = None
 
     def at(self, x: Tensor, y: Tensor) -> Tensor:
         """Albedo, bilinear, float32 in the shape of x and y (m, body frame)."""
@@ -79,6 +81,9 @@ class Texture:
         i, j = (x - self.origin_m[0]) / self.texel_m - 0.5, (y - self.origin_m[1]) / self.texel_m - 0.5
         i0, j0 = i.floor(), j.floor()
         fi, fj = (i - i0).float(), (j - j0).float()
+        if self.shifts is not None:
+            tile = (i0 / n_x).floor().remainder(len(self.shifts)).int()
+            j0 = j0 + self.shifts.to(j0).index_select(0, tile.flatten()).view_as(j0)
         # One index in 32 bits and a remainder in floating point take a fifth of the time of two indices in 64.
         i0, j0 = i0.remainder(n_x).int() * n_y, j0.remainder(n_y).int()
         i1, j1 = torch.where(i0 == (n_x - 1) * n_y, 0, i0 + n_y), torch.where(j0 == n_y - 1, 0, j0 + 1)
@@ -92,6 +97,9 @@ class Texture:
         n_x, n_y = self.material.shape
         i, j = ((at - start) / self.texel_m for at, start in zip((x, y), self.origin_m, strict=True))
         return self.material[i.floor().long() % n_x, j.floor().long() % n_y].long()
+
+
+TILES = 64  # of 36 m, after which their shifts repeat
 
 
 class RoadSurfaceParams(Params):
@@ -116,8 +124,11 @@ class RoadSurfaceParams(Params):
         """Mean albedo of the asphalt in its current state, wet or dry, without markings."""
         return float(self.ground.darken(torch.tensor(self.albedo, dtype=torch.float64)))
 
-    def texture(self) -> Texture:
-        """A tile of 36 x 18 m, or 36 x 54 m with markings, 2 cm a texel, centred on y = 0, whose opposite edges match."""
+    def texture(self, long: bool = False) -> Texture:
+        """A tile of 36 x 18 m, or 36 x 54 m with markings, 2 cm a texel, centred on y = 0, whose opposite edges match.
+
+        long: for a drive. Repetitions of a tile without markings are then shifted to the side at random, except the first.
+        """
         texel_m, n_x, n_y = 0.02, 1800, 900
         rng = np.random.default_rng(self.seed)
         relative = 1.0 + self.grain * _grain(rng, n_x, n_y) * (self.grain > 0)
@@ -141,7 +152,8 @@ class RoadSurfaceParams(Params):
         seen = self.ground.darken(torch.from_numpy(albedo.astype(np.float32)))
         origin_m = (0.0, -n_y * texel_m / 2)
         if not self.markings:
-            return Texture(seen, texel_m, origin_m, (self.ground,), names=(self.ground_name,))
+            shifts = torch.from_numpy(np.r_[0, rng.integers(n_y, size=TILES - 1)].astype(float)) if long else None
+            return Texture(seen, texel_m, origin_m, (self.ground,), names=(self.ground_name,), shifts=shifts)
         of_texel = torch.from_numpy(painted.astype(np.uint8))
         return Texture(seen, texel_m, origin_m, (self.ground, self._paint), of_texel, (self.ground_name, "lane_paint"))
 
@@ -193,18 +205,19 @@ class SpotParams(Params):
 
 @dataclass(frozen=True, eq=False)
 class SpottedTexture:
-    """A road's texture, made on first use, with spots on it; the texture repeats, the spots do not."""
+    """A road's texture, made on first use, with spots on it; the texture repeats, the spots do not. long: as of `surface.texture`."""
 
     surface: RoadSurfaceParams
     spots: tuple[SpotParams, ...]
+    long: bool = False
 
     @cached_property
     def _around(self) -> Texture:
-        return self.surface.texture()
+        return self.surface.texture(self.long)
 
     @cached_property
     def _dry(self) -> Texture:
-        return self.surface.model_copy(update={"wet": 0.0}).texture() if self.surface.wet else self._around
+        return self.surface.model_copy(update={"wet": 0.0}).texture(self.long) if self.surface.wet else self._around
 
     @cached_property
     def materials(self) -> tuple[Material, ...]:

@@ -78,6 +78,16 @@ def test_texture_lies_along_x_and_y_and_repeats():
     assert texture.at(x, y).tolist() == [0.0, 3.0, 1.0, 0.0, 1.5, 4.5]
 
 
+def test_asphalt_of_a_drive_begins_as_that_of_a_standing_car_and_does_not_repeat():
+    params = RoadSurfaceParams(seed=3)
+    x, y = (each.flatten() for each in torch.meshgrid(torch.arange(0.1, 35.9, 0.02), torch.arange(-3, 3, 0.02), indexing="ij"))
+    standing, driving = params.texture(), params.texture(long=True)
+    first, second, third = (driving.at(x.double() + 36 * k, y.double()) for k in range(3))
+    assert torch.equal(first, standing.at(x.double(), y.double()))
+    assert all(abs(float(torch.corrcoef(torch.stack(pair))[0, 1])) < 0.05 for pair in ((first, second), (second, third), (first, third)))
+    assert first.mean().item() == pytest.approx(second.mean().item(), rel=0.03), "the same asphalt, of which there are other patches"
+
+
 def test_asphalt_has_its_albedo_its_seed_and_its_lines():
     params = RoadSurfaceParams(albedo=0.15, seed=3)
     albedo = params.texture().albedo
