@@ -22,7 +22,7 @@ def test_a_written_scenario_is_read_as_it_was_and_made_of_another(scenario, othe
 
 def test_differences_name_the_keys_that_differ():
     before = load("gfhb")
-    found = differences(before, load("gfhb", ["light.ambient_lx=1.5", "objects[1].albedo=0.5", "functions.guard_traffic={}"]))
+    found = differences(before, load("gfhb", ["light.ambient_lx=1.5", "objects[4].albedo=0.5", "functions.guard_traffic={}"]))
     assert len(found) == 3 and {"light.ambient_lx=1.5", "functions.guard_traffic={}"} < set(found)
     assert any(each.startswith("objects=[") for each in found)
 
