@@ -17,7 +17,8 @@ STYLES: dict[Style, tuple[tuple[float, float, float], tuple[float, float, float,
     "saloon": ((4.7, 1.83, 1.44), (0.13, 0.28, 0.58, 0.74)),
     "van": ((4.9, 1.92, 1.95), (0.02, 0.035, 0.68, 0.82)),
 }
-LOW_BEAM_CD, LOW_BEAM_WIDTH_DEG, LOW_BEAM_DOWN_DEG = 15_000.0, (14.0, 1.6), 2.5
+# 135 cd 0.57 deg above the horizon, where UN R112 allows a class B low beam 350 cd towards oncoming eyes (B50L)
+LOW_BEAM_CD, LOW_BEAM_WIDTH_DEG, LOW_BEAM_DOWN_DEG = 15_000.0, (14.0, 1.0), 2.5
 TAIL_CD = 8.0
 WHEEL_M = 0.32
 CLEARANCE_M = 1e-3  # of the arches over the road, which the tyres touch
