@@ -1,6 +1,5 @@
 """The film of a run: the camera's annotated frames, or what people see, at the film's own rate."""
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,10 +13,10 @@ from luxloop.loop.report.views import above, chase, driver
 from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.eye import exposure_of
-from luxloop.world.headlight.lamp import Commands
 
 CAMERA_HZ = 10  # slower than most loops, so that single steps are visible
 CLEAN_CRF = 20
+ROUNDING_S = 1e-9
 VIEWS = {"driver": driver, "chase": chase, "above": above}
 
 
@@ -46,18 +45,13 @@ class Film(VideoWriter):
             self._white = white_of(result, self._simulation) if self._white is None else self._white
             self.add(frame_picture(result, self._simulation, self._white))
             return
-        commands, lights = result.now.commands, result.lights
+        time_s, lights, commands = result.time_s, result.lights, result.now.commands
         if self._exposure_ev is None:
-            self._exposure_ev = exposure_of(self._onlooker.light(result.time_s, lights, commands))
-        before_s, earlier = self._before or (result.time_s, lights)
-        for frame in range(self._frames, math.floor(result.time_s * self._rate_hz + 1e-9) + 1):
-            share = (frame / self._rate_hz - before_s) / max(result.time_s - before_s, 1e-9)
-            self._add_view(
-                frame / self._rate_hz, [torch.lerp(a, b, max(share, 0.0)) for a, b in zip(earlier, lights, strict=True)], commands
-            )
-            self._frames = frame + 1
-        self._before = result.time_s, lights
-
-    def _add_view(self, time_s: float, lights: Sequence[Tensor], commands: Commands) -> None:
-        assert self._onlooker is not None and self._exposure_ev is not None
-        self.add(self._onlooker.picture(time_s, lights, commands, self._exposure_ev))
+            self._exposure_ev = exposure_of(self._onlooker.light(time_s, lights, commands))
+        before_s, earlier = self._before or (time_s, lights)
+        while (now_s := self._frames / self._rate_hz) <= time_s + ROUNDING_S:
+            share = min(max((now_s - before_s) / max(time_s - before_s, ROUNDING_S), 0.0), 1.0)
+            between = [torch.lerp(a, b, share) for a, b in zip(earlier, lights, strict=True)]
+            self.add(self._onlooker.picture(now_s, between, commands, self._exposure_ev))
+            self._frames += 1
+        self._before = time_s, lights
