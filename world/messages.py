@@ -9,7 +9,6 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import chain
 from math import prod
 from typing import Annotated, Any, Final, Literal
 
@@ -35,7 +34,7 @@ class ArrayBytes:
 
     dtype: str
     shape: tuple[int, ...]
-    coding: Literal["raw", "deflate", "png"]
+    coding: Literal["raw", "deflate"]
     data: bytes
 
 
@@ -49,18 +48,6 @@ def encode(array: np.ndarray) -> ArrayBytes:
 def raw(array: np.ndarray) -> ArrayBytes:
     """An array as it is. Raises KeyError for a dtype that has no code."""
     return ArrayBytes(CODES[str(array.dtype)], array.shape, "raw", np.ascontiguousarray(array).tobytes())
-
-
-def grey(array: np.ndarray) -> ArrayBytes:
-    """A picture `[height, width]` uint8 as PNG."""
-    import cv2
-
-    how = {  # three times as fast as by default, and smaller: noise repeats nothing
-        cv2.IMWRITE_PNG_COMPRESSION: 1,
-        cv2.IMWRITE_PNG_STRATEGY: cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
-        cv2.IMWRITE_PNG_FILTER: cv2.IMWRITE_PNG_FILTER_NONE,
-    }
-    return ArrayBytes("u1", array.shape, "png", cv2.imencode(".png", array, list(chain.from_iterable(how.items())))[1].tobytes())
 
 
 class ArrayHead(Params):

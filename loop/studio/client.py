@@ -26,9 +26,10 @@ LOOK_S = 0.5  # interval of checks for a lost connection while waiting
 def connect(url: str, *, views: Collection[View] = VIEWS, shared: bool = False, run: int = 0) -> "Client":
     """Watch and steer the loop of a `luxloop studio` from another program.
 
-    url: the printed address, with the token after `#`. views: contents of states: "frames", "light", "matrix" (utilisations), "camera" (the
-    page's pictures), "depth", "instances", "materials", "truth" (of objects), "marks"; only requested contents are computed. shared: read
-    arrays from shared memory instead of the socket, which is faster, on the studio's machine. run: 1 for the second run beside the first.
+    url: the printed address, with the token after `#`. views: contents of states: "frames", "light", "matrix" (utilisations), "camera",
+    "off", "symbol" (the page's pictures), "depth", "instances", "materials", "truth" (of objects), "marks"; only requested contents are
+    computed. shared: read arrays from shared memory instead of the socket, which is faster, on the studio's machine. run: 1 for the second
+    run beside the first.
 
     Waits until the loop is prepared. Raises LuxloopError if no studio answers, or the token is wrong.
     """

@@ -14,8 +14,9 @@ from luxloop.world.params import Metres, Params
 PROTOCOL = 1
 LARGEST = 2**22  # bytes of a client's message
 
-View = Literal["scene", "light", "camera", "matrix", "marks", "frames", "depth", "instances", "materials", "truth"]
+View = Literal["scene", "light", "camera", "off", "symbol", "matrix", "marks", "frames", "depth", "instances", "materials", "truth"]
 VIEWS: tuple[View, ...] = ("scene", "light", "camera", "matrix", "marks")  # of a client without a request
+PICTURES: Mapping[View, str] = {"camera": "camera.on", "off": "camera.off", "symbol": "camera.symbol"}  # arrays of views
 Text = Annotated[str, Field(max_length=4000)]
 Override = Annotated[str, Field(max_length=100_000)]  # may hold a whole list
 Overrides = Annotated[tuple[Override, ...], Field(max_length=100)]
@@ -75,7 +76,7 @@ class AskBeam(FromClient):
 
 
 class Acknowledge(FromClient):
-    """A step was shown. id: of its message. While two steps of a run are not shown, no other is sent."""
+    """A step was shown. id: of its message. While a step of a run is not shown, no newer one is sent."""
 
     type: Literal["shown"]
     id: Number

@@ -30,7 +30,7 @@ from luxloop.loop.simulation.redrawn import lights_without_paint
 from luxloop.loop.simulation.result import SimulationState
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studio.meshes import Meshes
-from luxloop.loop.studio.messages import VIEWS, View
+from luxloop.loop.studio.messages import PICTURES, VIEWS, View
 from luxloop.loop.studio.playback import Playback
 from luxloop.loop.studio.snapshot import Snapshot, bodies_at, snapshot
 from luxloop.loop.studio.sources import Source
@@ -43,10 +43,10 @@ from luxloop.world.regulation import check_beam
 from luxloop.world.scene.triangles import NOTHING
 
 KEPT_BYTES = 2**30  # of light and pictures of past steps; the oldest are dropped
+REST = 4  # rest as a multiple of the time of pictures or messages, which so take a fifth of it at most
+LONGEST_REST_S = 0.2
 UNITS = {"flux": "lm", "sharpness": "decades in 0.1 deg", "straightness": "deg"}  # of requirements by kind, else cd
-REST = 20  # interval of pictures as a multiple of their duration, so that they take a twentieth of the time
 MOST_EDITS = 100  # separate edits of one step
-LONGEST_REST_S = 1.0  # longest interval of pictures, for driving
 
 
 class Run:
@@ -106,12 +106,12 @@ class Run:
             result = self.simulation.evaluate(stepped, self._made[1] if self.snapshots else None)
         self.step_ms = 1e3 * (time.perf_counter() - began_s)
         rests = still or len(self.snapshots) + 1 >= self.simulation.scenario.steps
-        looks = set(wanted) if rests or time.perf_counter() >= self._look_s else set(wanted) - {"camera"}
+        looks = set(wanted) if rests or time.perf_counter() >= self._look_s else set(wanted) - PICTURES.keys()
         began_s = time.perf_counter()
         before = self.snapshots[-1] if self.snapshots else None
         taken = self._take_snapshot(self.simulation, result, before, looks)
-        if "camera" in looks:
-            self._look_s = time.perf_counter() + min(REST * (time.perf_counter() - began_s), LONGEST_REST_S)
+        if looks & PICTURES.keys():
+            self._look_s = time.perf_counter() + rest_s(time.perf_counter() - began_s)
         values = (self.recorder or self.tally).add(result)
         self.highlights.add(result)
         self._state, self._made = state, (self.simulation, result)
@@ -134,14 +134,15 @@ class Run:
             return snapshots[min(step, len(snapshots) - 1)]
         return playback.snapshot(min(step, len(self.rows) - 1), snapshots[-1])
 
-    def with_pictures(self, seen: Snapshot) -> Snapshot:
-        """Snapshot with its pictures, or a recording's stored frames; else the last earlier one with pictures, or itself."""
-        if seen.pictures:
+    def with_pictures(self, seen: Snapshot, wanted: Collection[View]) -> Snapshot:
+        """Snapshot with the wanted pictures, or a recording's stored frames; else the last earlier one with them, or itself."""
+        names = {PICTURES[view] for view in ("camera", "off") if view in wanted}
+        if names <= seen.pictures.keys():
             return seen
         if self.playback is not None and (kept := self.playback.pictures(seen.step)):
             return replace(seen, pictures=kept)
         before = (self.snapshots[k] for k in range(min(seen.step, len(self.snapshots) - 1), -1, -1))
-        return next((each for each in before if each.pictures), seen)
+        return next((each for each in before if names <= each.pictures.keys()), seen)
 
     def record(self, directory: Path) -> None:
         """Record all steps so far, and further ones until `end_recording`. Raises LuxloopError as `Recorder`, and if another process writes
@@ -322,6 +323,11 @@ def start(
         playback = Playback(source.recording, recording) if source.recording and recording else None
         runs.append(Run(before, source.label, source.all, wanted, playback))
     return runs
+
+
+def rest_s(spent_s: float) -> float:
+    """Rest in s after pictures or messages of a playing run that took spent_s to make."""
+    return min(REST * spent_s, LONGEST_REST_S)
 
 
 def head(runs: Sequence[Run], number: int) -> dict[str, Any]:

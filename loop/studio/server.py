@@ -259,7 +259,7 @@ class Studio:
 
     async def _send(self, client: Client) -> None:
         """Send what a client lacks after each change; while the client reads slowly, changes gather, and only the newest is sent."""
-        last, said_s, preparing, chosen, soon = "", 0.0, None, None, False
+        last, said_s, preparing, chosen, soon, rests_s = "", 0.0, None, None, False, 0.0
         while True:
             await client.changed.wait()
             client.changed.clear()
@@ -291,6 +291,9 @@ class Studio:
                 messages = client.stream.messages(state, client.request)
                 while (data := await self._loop.run_in_executor(self._threads, next, messages, None)) is not None:
                     await client.send(data)
+                if client.stream.rests_s > rests_s:  # newer steps may be waiting then
+                    rests_s = client.stream.rests_s
+                    self._loop.call_later(rests_s - time.perf_counter(), client.changed.set)
 
 
 def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:

@@ -2,7 +2,7 @@
 
 import json
 import zlib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +14,7 @@ from luxloop.loop.report.picture import captions, marks
 from luxloop.loop.simulation.columns import loss_name
 from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studio.messages import View
+from luxloop.loop.studio.messages import PICTURES, View
 from luxloop.world.frames import transform
 from luxloop.world.headlight.lamp import REST
 from luxloop.world.scene.triangles import NOTHING, Instance, Triangles
@@ -28,7 +28,7 @@ class Snapshot:
     """A step for clients.
 
     plain: its head, compressed. lights: utilisations `[n_p]` times commanded intensity, one per module; an unchanged tensor is shared with
-    the previous step. pictures: `camera.on`, `camera.off`, `camera.symbol`, if requested. exact: arrays for programs.
+    the previous step. pictures: requested ones by the names of `PICTURES`. exact: arrays for programs.
     """
 
     step: int
@@ -96,9 +96,8 @@ def snapshot(
         "marks": [vars(each) for each in marks(result, simulation)] if "marks" in wanted else [],
         "notes": [text for text, _ in captions(result, simulation)[2:]],  # without name and step
     }
-    pictures = _pictures(simulation, result) if "camera" in wanted else {}
     more, arrays = _exact(simulation, result, wanted)
-    return Snapshot(result.step, plain({**head, **more, "views": sorted(wanted)}), lights, pictures, arrays)
+    return Snapshot(result.step, plain({**head, **more, "views": sorted(wanted)}), lights, _pictures(simulation, result, wanted), arrays)
 
 
 def plain(head: Mapping[str, Any]) -> bytes:
@@ -124,16 +123,18 @@ def _symbol(simulation: Simulation, result: Evaluation, name: str, T_world_groun
     return {"pose": held.pose.tolist(), "loss": loss_name(int(held.measurement.code)), "target": target}
 
 
-def _pictures(simulation: Simulation, result: Evaluation) -> Pictures:
+def _pictures(simulation: Simulation, result: Evaluation, wanted: Collection[View]) -> Pictures:
     camera = simulation.scenario.camera
-    most = 2**camera.bits - 1
-    pictures = {name: coded_frame(frame, most) for name, frame in zip(("camera.on", "camera.off"), _frames(result), strict=False)}
+    frames: Iterable[tuple[View, Tensor]] = zip(("camera", "off"), _frames(result), strict=False)
+    pictures = {PICTURES[view]: coded_frame(frame, 2**camera.bits - 1) for view, frame in frames if view in wanted}
+    if "symbol" not in wanted:
+        return pictures
     symbol = np.zeros((camera.height_px, camera.width_px), np.uint8)
     for held in result.held.values():
         seen = held.measurement
         if seen.symbol.numel():
             symbol[seen.crop.slices] = np.maximum(symbol[seen.crop.slices], (255 * seen.symbol.clamp(0, 1)).byte().cpu().numpy())
-    return pictures | ({"camera.symbol": symbol} if symbol.any() else {})
+    return pictures | ({PICTURES["symbol"]: symbol} if symbol.any() else {})
 
 
 def coded_frame(frame: Tensor, most: int) -> np.ndarray:

@@ -7,18 +7,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from luxloop.loop.studio.messages import Request, View
-from luxloop.loop.studio.runs import Run
+from luxloop.loop.studio.messages import PICTURES, Request, View
+from luxloop.loop.studio.runs import Run, rest_s
 from luxloop.loop.studio.session import SessionState
 from luxloop.loop.studio.shared import Blocks
 from luxloop.loop.studio.snapshot import Snapshot
 from luxloop.world.headlight import Headlight
-from luxloop.world.messages import ArrayBytes, encode, grey, pack, raw
+from luxloop.world.messages import encode, pack, raw
 
-MOST_BACKLOG = 2  # sent steps of a run that a client has not shown yet
-PERIOD_S = 0.05  # least interval of a playing run's steps
-REST = 10  # interval of messages as a multiple of the time to make them
-LONGEST_REST_S = 0.3  # longest interval of messages, for driving
 MOST_ROWS = 10_000  # in a message
 FORGOTTEN = "light and pictures of this step are no longer kept: those of the step shown last are drawn; start anew to see them"
 PASSED = "roads and objects of this step that were left long ago are no longer kept"
@@ -26,10 +22,13 @@ HALF_PEAK = 1024.0  # peak of a module in units of its half floats, far below th
 
 
 class Stream:
-    """Messages of a session for a client. Used by one thread at a time, but not always the same."""
+    """Messages of a session for a client. Used by one thread at a time, but not always the same.
+
+    rests_s: by `time.perf_counter`, when the next step of a playing run is due.
+    """
 
     def __init__(self) -> None:
-        self._number, self._id, self._rests_s = -1, 0, 0.0
+        self._number, self._id, self.rests_s = -1, 0, 0.0
         self._sent, self._blocks = list[RunStream](), Blocks()
 
     def close(self) -> None:
@@ -40,7 +39,7 @@ class Stream:
         """Messages that update the client. While the session plays, rows and steps come at intervals, so that making them takes a small
         share of the time.
         """
-        resting = state.playing and request.at is None and time.perf_counter() < self._rests_s
+        resting = state.playing and request.at is None and time.perf_counter() < self.rests_s
         made, spent_s, last = self._newer(state, request, resting), 0.0, self._id
         while True:
             began_s = time.thread_time()  # excludes the time of other threads
@@ -50,7 +49,7 @@ class Stream:
                 break
             yield data
         if self._id != last:
-            self._rests_s = time.perf_counter() + min(max(REST * spent_s, PERIOD_S), LONGEST_REST_S)
+            self.rests_s = time.perf_counter() + rest_s(spent_s)
 
     def _newer(self, state: SessionState, request: Request, resting: bool) -> Iterator[bytes]:
         if state.number != self._number and state.scenario is not None:
@@ -64,29 +63,24 @@ class Stream:
                 continue
             yield from sent.rows(rows, done)
             run, step = request.at or (sent.number, len(sent.run.snapshots) - 1)
-            if run == sent.number and sent.backlog(request.shown) < MOST_BACKLOG:
+            if run == sent.number and sent.id <= request.shown:
                 for data in sent.step(step, request, self._id + 1):
-                    self._id = sent.ids[-1]
+                    self._id = sent.id
                     yield data
 
 
 class RunStream:
-    """Contents of one run that a client has. ids: of the sent steps not known to be shown. blocks: the client's shared memory."""
+    """Contents of one run that a client has. id: of its newest sent step. blocks: the client's shared memory."""
 
     def __init__(self, number: int, run: Run, blocks: Blocks) -> None:
         self.number, self.run, self._blocks = number, run, blocks
-        self.ids = list[int]()
+        self.id = 0
         self._rows, self._rows_of, self._edits, self._meshes = 0, run.rows, 0, set[int]()
         self._step: tuple[Snapshot | None, bool, frozenset[View]] = None, False, frozenset()
         self._pictured: int | None = None  # step of the last sent camera picture
         modules = len(run.simulation.modules)
         self._lights: list[tuple[Headlight, torch.Tensor] | None] = [None] * modules  # as last shown
         self._utilisations: list[torch.Tensor | None] = [None] * modules
-
-    def backlog(self, shown: int) -> int:
-        """Number of steps after the last shown one, given by its `id`."""
-        self.ids = [each for each in self.ids if each > shown]
-        return len(self.ids)
 
     def edits(self) -> Iterator[bytes]:
         """Edits that the client lacks; the newest one has the current model and facts."""
@@ -115,8 +109,7 @@ class RunStream:
         before, was_scrubbed, had = self._step
         if before is snapshot and was_scrubbed == scrubbed and wanted <= had:
             return
-        self.ids.append(id_)
-        self._step = snapshot, scrubbed, wanted
+        self.id, self._step = id_, (snapshot, scrubbed, wanted)
         head = snapshot.head
         there, meshes = {each["mesh"] for each in head["bodies"]}, self.run.meshes.of
         if made := {number: mesh for number in sorted(there - self._meshes) if (mesh := meshes.get(number)) is not None}:
@@ -125,13 +118,13 @@ class RunStream:
             yield pack({"type": "meshes", "run": self.number, "meshes": [head for head, _ in made.values()]}, arrays)
         notes = head["notes"] + ([PASSED] if there - self._meshes else [])
         bodies = [each for each in head["bodies"] if each["mesh"] in self._meshes]
-        seen = self.run.with_pictures(snapshot) if scrubbed or was_scrubbed or before is None else snapshot
+        seen = self.run.with_pictures(snapshot, wanted) if scrubbed or was_scrubbed or before is None else snapshot
         yield self._pack({"id": id_, "scrub": scrubbed, **head, "bodies": bodies, "notes": notes}, snapshot, seen, request)
 
     def _pack(self, head: dict[str, Any], snapshot: Snapshot, seen: Snapshot, request: Request) -> bytes:
         """Message of a step, with arrays copied for a slow client. seen: snapshot whose pictures are shown."""
         wanted, notes = request.wanted, head["notes"]
-        pictures, plain, windows, scales = dict[str, ArrayBytes](), dict[str, np.ndarray](), dict[str, Any](), []
+        plain, windows, scales = dict[str, np.ndarray](), dict[str, Any](), []
         for k, peak_cd in enumerate(self.run.peaks_cd):
             scales.append(max(peak_cd, 1e-6) / HALF_PEAK)
             if not snapshot.lights:
@@ -144,20 +137,21 @@ class RunStream:
                 light = self.run.simulation.modules[k].headlight
                 share = (255 * u.clamp(0, 1)).round().byte().view(light.pixel_rows, light.pixel_cols)
                 plain[f"u.{k}"] = share.numpy()
-        if "camera" in wanted:
-            pictures = {name: grey(picture) for name, picture in seen.pictures.items()}
+        names = {PICTURES[view] for view in wanted & PICTURES.keys()}
+        pictures = {name: picture for name, picture in seen.pictures.items() if name in names}
+        if names:
             self._pictured = seen.step if pictures else self._pictured
             if self._pictured not in (None, snapshot.step):
                 notes = [*notes, f"the camera's picture is that of step {self._pictured}"]
         if not snapshot.lights and snapshot.step < len(self.run.snapshots):
             notes = [*notes, FORGOTTEN]
-        exact = {name: array for name, array in snapshot.exact.items() if name.partition(".")[0] in wanted}
+        exact = pictures | {name: array for name, array in snapshot.exact.items() if name.partition(".")[0] in wanted}
         modules = [{**each, "scale_cd": scale} for each, scale in zip(head["modules"], scales, strict=True)]
         head = {"type": "step", "run": self.number, **head, "notes": notes, "light_windows": windows, "modules": modules}
         if request.shared and (shared := self._blocks.put(self.number, head["id"], {**plain, **exact})) is not None:
-            return pack({**head, "shared": shared}, pictures)
+            return pack({**head, "shared": shared})
         sent = {name: encode(array) for name, array in plain.items()} | {name: raw(array) for name, array in exact.items()}
-        return pack(head, pictures | sent)
+        return pack(head, sent)
 
     def _lit(self, k: int, u: torch.Tensor, scale_cd: float) -> tuple[list[int], np.ndarray] | None:
         """Window (first row, end row, first column, end column) of a module's light texture that changed pixels light, and its light in

@@ -5,10 +5,8 @@ export type Values = Uint8Array | Uint16Array | Uint32Array | Float32Array;
 /** An array; rows x columns and so on are in `shape`. */
 export interface Picture {
   readonly shape: number[];
-  /** Of a `png`. */
-  readonly bitmap?: ImageBitmap;
-  /** Of all others; half floats (`f2`) come as their 16 bits, in a Uint16Array. */
-  readonly values?: Values;
+  /** Half floats (`f2`) come as their 16 bits, in a Uint16Array. */
+  readonly values: Values;
 }
 export type Arrays = ReadonlyMap<string, Picture>;
 

@@ -8,7 +8,7 @@ interface ArrayHead {
   shape: number[];
   start: number;
   bytes: number;
-  coding: "raw" | "deflate" | "png";
+  coding: "raw" | "deflate";
 }
 
 const TYPES = { u1: Uint8Array, u2: Uint16Array, u4: Uint32Array, f2: Uint16Array, f4: Float32Array } as const;
@@ -19,7 +19,6 @@ export function encode(message: ClientMessage, arrays: Arrays = new Map()): Arra
   const bodies: Uint8Array[] = [];
   let start = 0;
   for (const [name, { shape, values }] of arrays) {
-    if (!values) continue;
     const body = new Uint8Array(values.buffer, values.byteOffset, values.byteLength);
     heads[name] = { dtype: dtype(values), shape, start, bytes: body.length, coding: "raw" };
     bodies.push(body);
@@ -57,13 +56,6 @@ export async function decode(frame: ArrayBuffer): Promise<[ServerMessage, Arrays
 }
 
 async function array(head: ArrayHead, data: ArrayBuffer): Promise<Picture> {
-  if (head.coding === "png") {
-    const bitmap = await createImageBitmap(new Blob([data], { type: "image/png" }), {
-      colorSpaceConversion: "none",
-      premultiplyAlpha: "none",
-    });
-    return { shape: head.shape, bitmap };
-  }
   const plain = head.coding === "deflate" ? await inflated(data) : data;
   return { shape: head.shape, values: new TYPES[head.dtype](plain) as Values };
 }

@@ -1,6 +1,6 @@
 // Made from the messages in Python by scripts/protocol.py.
 
-export type View = "scene" | "light" | "camera" | "matrix" | "marks" | "frames" | "depth" | "instances" | "materials" | "truth";
+export type View = "scene" | "light" | "camera" | "off" | "symbol" | "matrix" | "marks" | "frames" | "depth" | "instances" | "materials" | "truth";
 
 export interface Named {
   name: string;
@@ -263,7 +263,7 @@ export interface WantRequest {
   ask?: number | null;
   type: "want";
   shared?: boolean;
-  views: ("scene" | "light" | "camera" | "matrix" | "marks" | "frames" | "depth" | "instances" | "materials" | "truth")[];
+  views: ("scene" | "light" | "camera" | "off" | "symbol" | "matrix" | "marks" | "frames" | "depth" | "instances" | "materials" | "truth")[];
 }
 
 export interface ScrubRequest {

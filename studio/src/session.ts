@@ -44,7 +44,7 @@ export class Session {
       message: (message, arrays) => this.#take(message, arrays),
       broken: toast,
     });
-    store.on(["maximised", "link", "status"], () => this.#want());
+    store.on(["maximised", "link", "status", "pictures"], () => this.#want());
   }
 
   send(message: ClientMessage, arrays?: Arrays): void {
@@ -112,13 +112,13 @@ export class Session {
   }
 
   #want(): void {
-    const { maximised, link, status } = this.store.state;
+    const { maximised, link, status, pictures } = this.store.state;
     if (link !== "open") {
       this.#wanted = "";
       return;
     }
     const panels = maximised && status?.playing ? [maximised] : ALL; // a step at rest is sent once, and may be seen in all panels
-    const views = panels.flatMap((panel) => VIEWS[panel]);
+    const views = panels.flatMap((panel) => [...VIEWS[panel], ...(panel === "camera" ? pictures : [])]);
     if (views.join() === this.#wanted) return;
     this.#wanted = views.join();
     this.#connection.send({ type: "want", views });

@@ -54,7 +54,6 @@ export class RunData {
     const on = arrays.get("camera.on");
     const marksOnly = !on && !message.scrub && this.look?.on !== undefined;
     if (!marksOnly) {
-      for (const old of [this.look?.on, this.look?.off, this.look?.symbol]) old?.bitmap?.close();
       this.look = { step: message.step, on, off: arrays.get("camera.off"), symbol: arrays.get("camera.symbol"), marks: message.marks };
     }
     let matrix = false;
@@ -112,6 +111,8 @@ export interface State extends SceneOptions {
   beams: (Beam | null)[];
 
   camera_run: number;
+  /** Pictures that the camera's panel shows beside the frame with the light on. */
+  pictures: readonly ("off" | "symbol")[];
   matrix_run: number;
   maximised: PanelName | null;
   keys_open: boolean;
@@ -160,6 +161,7 @@ export function newStore(): Studio {
     side: "left",
     beams: [],
     camera_run: 0,
+    pictures: [],
     matrix_run: 0,
     maximised: null,
     driving: false,

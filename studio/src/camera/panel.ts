@@ -79,9 +79,12 @@ export function cameraPanel(store: Studio): HTMLElement {
     const { on, off } = look() ?? {};
     const needed = frame === "on" ? [on] : frame === "off" ? [off] : [on, off];
     empty.hidden = needed.every(Boolean);
-    empty.textContent =
-      frame === "on" || on === undefined ? "No picture of the camera yet." : "The camera takes no picture with the light off.";
+    empty.textContent = on ? "The camera has taken no picture with the light off." : "No picture of the camera yet.";
     view.redraw();
+  };
+  const choose = () => {
+    store.set({ pictures: [...(frame === "on" ? [] : ["off" as const]), ...(withSymbol ? ["symbol" as const] : [])] });
+    changed();
   };
   const marksToggle = toggle("marks", "Draw what is tracked, masked, found, lit and aimed at", (now) => {
     withMarks = now;
@@ -92,11 +95,11 @@ export function cameraPanel(store: Studio): HTMLElement {
   const symbolToggle = toggle("symbol", "Tint the symbol as it was extracted", (now) => {
     withSymbol = now;
     symbolToggle.show(now);
-    changed();
+    choose();
   });
   const frames = select("Frame of the camera", FRAMES, (value) => {
     frame = value as Frame;
-    changed();
+    choose();
   });
   bar.append(runSwitch(store, "camera_run"), frames, marksToggle.button, symbolToggle.button);
   body.append(view.canvas, empty, notes, legend, readout);

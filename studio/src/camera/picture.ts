@@ -6,33 +6,12 @@ export interface Grey {
   width: number;
   height: number;
   /** `[height * width]`, 0..255. */
-  codes: Uint8Array | Uint8ClampedArray;
+  codes: Uint8Array;
 }
 
-const known = new WeakMap<Picture, Grey>();
-
-/** Codes of a picture, whatever it is coded as. */
-export function grey(picture: Picture): Grey {
-  let found = known.get(picture);
-  if (!found) {
-    found = picture.bitmap ? ofBitmap(picture.bitmap) : ofValues(picture);
-    known.set(picture, found);
-  }
-  return found;
-}
-
-function ofBitmap(bitmap: ImageBitmap): Grey {
-  const { width, height } = bitmap;
-  const context = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true }) as OffscreenCanvasRenderingContext2D;
-  context.drawImage(bitmap, 0, 0);
-  const rgba = new Uint32Array(context.getImageData(0, 0, width, height).data.buffer);
-  return { width, height, codes: Uint8Array.from(rgba, (pixel) => pixel & 255) };
-}
-
-function ofValues({ shape, values }: Picture): Grey {
-  const [height, width] = shape;
-  if (values instanceof Uint8Array) return { width, height, codes: values };
-  return { width, height, codes: Uint8ClampedArray.from(values ?? [], (share) => 255 * share) };
+/** A picture of u1. */
+export function grey({ shape: [height, width], values }: Picture): Grey {
+  return { width, height, codes: values as Uint8Array };
 }
 
 /** Digital number of a code. */

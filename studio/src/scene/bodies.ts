@@ -12,7 +12,7 @@ import {
   type Object3D,
   type RawShaderMaterial,
   RedFormat,
-  Texture,
+  type Texture,
 } from "three";
 import type { Arrays, Picture } from "../arrays.ts";
 import type { MeshesMessage, MeshHead, StepMessage } from "../protocol.ts";
@@ -128,10 +128,10 @@ function grey(count: number): Uint8Array {
   return new Uint8Array(count).fill(128);
 }
 
-function albedoTexture({ shape, bitmap, values }: Picture): Texture | null {
+function albedoTexture({ shape, values }: Picture): Texture | null {
   const [height = 1, width = 1] = shape;
-  if (!bitmap && !(values instanceof Uint8Array)) return null;
-  const texture = bitmap ? new Texture(bitmap) : new DataTexture(values as Uint8Array, width, height, RedFormat);
+  if (!(values instanceof Uint8Array)) return null;
+  const texture = new DataTexture(values, width, height, RedFormat);
   texture.flipY = false;
   texture.wrapS = texture.wrapT = ClampToEdgeWrapping;
   texture.magFilter = LinearFilter;

@@ -14,7 +14,7 @@ from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
-from selenium.webdriver.support.ui import WebDriverWait
+from selenium.webdriver.support.ui import Select, WebDriverWait
 
 from luxloop.loop.studio.messages import Button, Set
 from luxloop.loop.studio.page import PAGE
@@ -149,6 +149,9 @@ def test_a_run_is_steered_scrubbed_and_compared(browser):
 
         ActionChains(browser).move_to_element(one(browser, ".camera canvas")).perform()
         until(browser, r"return /^u \d+, v \d+: \d+ of \d+$/.test(document.querySelector('.camera .readout').textContent)")
+        assert "camera.off" not in served.run.snapshots[-1].pictures
+        Select(one(browser, "[aria-label='Frame of the camera']")).select_by_visible_text("light off")
+        until(browser, "return window.luxloop.store.state.runs[0].look?.off && document.querySelector('.camera .empty').hidden")
 
         keys = one(browser, ".keys")
         keys.send_keys("camera.bitz=10", Keys.ENTER)

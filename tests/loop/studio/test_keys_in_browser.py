@@ -95,6 +95,7 @@ def test_a_function_is_switched_off_and_on_and_its_controller_is_another(page, s
     page.execute_script("luxloop.store.set({ things: false })")
     labelled(page, "functions.symbol: on or off").click()
     until_here(lambda: symbol.scenario.functions == before)
+    until(page, "return document.querySelector(\"[aria-label='functions.symbol.controller: name']\")")
     Select(labelled(page, "functions.symbol.controller: name")).select_by_value("open")
     until_here(lambda: symbol.scenario.symbol.controller.name == "open")
     press(page, Keys.CONTROL, "z")

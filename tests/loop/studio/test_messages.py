@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from luxloop.loop.studio.messages import Paint, Set, Speed, read
-from luxloop.world.messages import LENGTH, encode, grey, pack
+from luxloop.world.messages import LENGTH, encode, pack, raw
 from tests.loop.studio.clients import message, unpacked
 from tests.refusal import refusal
 
@@ -21,7 +21,7 @@ def test_arrays_and_pictures_come_back_bit_for_bit(dtype):
     rng = np.random.default_rng(0)
     sent = {"noise": (100 * rng.random((5, 7))).astype(dtype), "zeros": np.zeros((40, 30), dtype)}
     picture = rng.integers(0, 256, (9, 13)).astype(np.uint8)
-    head, got = unpacked(pack({"type": "test"}, {name: encode(each) for name, each in sent.items()} | {"picture": grey(picture)}))
+    head, got = unpacked(pack({"type": "test"}, {name: encode(each) for name, each in sent.items()} | {"picture": raw(picture)}))
     assert head["type"] == "test" and head["arrays"]["zeros"]["coding"] == "deflate"
     for name, each in (sent | {"picture": picture}).items():
         assert got[name].dtype == each.dtype and np.array_equal(got[name], each)

@@ -19,7 +19,7 @@ from websockets.uri import parse_uri
 
 import luxloop
 from luxloop.loop.recording.record import row
-from luxloop.loop.studio.messages import Button, Request
+from luxloop.loop.studio.messages import VIEWS, Button, Request
 from luxloop.loop.studio.server import MOST_ASKED
 from luxloop.loop.studio.session import SessionState
 from luxloop.loop.studio.sources import refuse_foreign
@@ -102,11 +102,11 @@ def test_light_that_is_the_same_is_not_sent_again(served, editor):
 
 def test_messages_rest_while_the_session_plays_and_come_at_once_when_it_stops(served, editor, monkeypatch):
     editor.reset()
-    monkeypatch.setattr("luxloop.loop.studio.stream.REST", 1e9)
+    monkeypatch.setattr("luxloop.loop.studio.runs.REST", 1e9)
     rested, playing = Stream(), replace(served.studio.session.state, playing=True)
     assert "step" in kinds(rested, playing)
     began_s = time.monotonic()
-    monkeypatch.setattr("luxloop.loop.studio.stream.LONGEST_REST_S", 3600.0)
+    monkeypatch.setattr("luxloop.loop.studio.runs.LONGEST_REST_S", 3600.0)
     feed = Stream()
     assert "step" in kinds(feed, playing)
     served.studio.session.ask(Button(type="step"), print)
@@ -119,8 +119,53 @@ def test_messages_rest_while_the_session_plays_and_come_at_once_when_it_stops(se
     assert "step" in kinds(rested, playing, shown=9), "however long the messages took that came last"
 
 
+def test_a_step_that_a_rest_held_back_comes_at_its_end(editor, monkeypatch):
+    monkeypatch.setattr("luxloop.loop.studio.runs.REST", 1e9)
+    monkeypatch.setattr("luxloop.loop.studio.runs.LONGEST_REST_S", 1.0)
+    editor.reset()
+    editor.of("step", step=0)
+    editor.say("speed", factor=0.002)  # 17 s from one step to the next
+    editor.say("play")
+    assert editor.of("step")[0]["step"] == 1
+    editor.say("pause")
+    editor.say("speed", factor=None)
+
+
+def test_the_newest_step_follows_once_the_one_on_its_way_is_shown(served, editor):
+    editor.reset()
+    feed, state = Stream(), served.studio.session.state
+    (first,) = (head for head in sent(feed, state) if head["type"] == "step")
+    editor.step(1, 2)
+    state = served.studio.session.state
+    assert [head["type"] for head in sent(feed, state)] == ["rows"]
+    (second,) = sent(feed, state, shown=first["id"])
+    assert second["step"] == 2
+
+
+def test_the_frame_without_the_symbol_is_computed_and_sent_for_who_shows_it(served, editor):
+    editor.reset()
+    _, arrays = editor.of("step", step=0)
+    assert [name for name in arrays if name.startswith("camera.")] == ["camera.on"]
+    editor.step(1)
+    _, off = served.run.highlights.moments[-1].frames
+    assert off.known != (slice(0, 180), slice(0, 320)), "the controller reads a part"
+    editor.say("want", views=["camera", "off", "symbol"])
+    _, arrays = editor.until(lambda head: "camera.off" in head.get("arrays", {}))  # at rest
+    assert {"camera.on", "camera.off", "camera.symbol"} == arrays.keys()
+    assert not np.array_equal(arrays["camera.on"], arrays["camera.off"])
+    editor.say("play")
+    editor.of("status", playing=False)
+    assert "camera.off" in served.run.snapshots[-1].pictures
+    editor.say("want", views=VIEWS)
+
+
+def sent(feed: Stream, published: SessionState, **request: Any) -> list[dict[str, Any]]:
+    """Heads of messages."""
+    return [unpacked(each)[0] for each in feed.messages(published, Request(**request))]
+
+
 def kinds(feed: Stream, published: SessionState, **request: Any) -> list[str]:
-    return [unpacked(each)[0]["type"] for each in feed.messages(published, Request(**request))]
+    return [head["type"] for head in sent(feed, published, **request)]
 
 
 def test_who_does_not_read_is_let_go(served, monkeypatch):
