@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from luxloop.world.caches import Part
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import View
 from luxloop.world.scene.body import Body
@@ -55,8 +56,8 @@ class Rasteriser:
         self._meshes: WeakKeyDictionary[Body, list[Any]] = WeakKeyDictionary()
         self.name = f"OpenGL ({_renderer_name()})"
 
-    def face_ids(self, triangles: Triangles, view: View) -> Tensor:
-        """Id of the nearest face through each pixel's centre, to 1/256 px or so, `[height, width]` int64, -1 where there is none."""
+    def face_ids(self, triangles: Triangles, view: View, part: Part | None = None) -> Tensor:
+        """As `FaceSource`, to 1/256 px or so. The whole view is drawn: a smaller viewport would round corners differently."""
         import pyrender
 
         if sum(placed.n_faces for placed in triangles.placed) >= 1 << 24:
@@ -73,7 +74,7 @@ class Rasteriser:
         renderer = context()
         renderer.viewport_width, renderer.viewport_height = view.width, view.height
         rgb, _ = renderer.render(scene, pyrender.RenderFlags.SEG, first_ids)
-        red, green, blue = torch.from_numpy(rgb.copy()).permute(2, 0, 1).long()
+        red, green, blue = torch.from_numpy(rgb[part or ...].copy()).permute(2, 0, 1).long()
         return red + (green << 8) + (blue << 16) - 1
 
     def _meshes_of(self, body: Body) -> list[Any]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from luxloop.world.caches import Part
 from luxloop.world.frames import View
 from luxloop.world.scene.triangles import Hits, Triangles, intersect, on_planes
 
@@ -20,8 +21,9 @@ class RayCaster:
 
     name = "embree"
 
-    def face_ids(self, triangles: Triangles, view: View) -> Tensor:
-        """Id of the nearest face through each pixel's centre, `[height, width]` int64, -1 where there is none."""
+    def face_ids(self, triangles: Triangles, view: View, part: Part | None = None) -> Tensor:
+        """As of `FaceSource`."""
+        view = view if part is None else view.within(*part)
         return first_hits(triangles, view.origin, view.rays().flatten(1)).reshape(view.height, view.width)
 
 

@@ -24,8 +24,11 @@ class FaceSource(Protocol):
     @property
     def name(self) -> str: ...
 
-    def face_ids(self, triangles: Triangles, view: View) -> Tensor:
-        """Id of the nearest face through each pixel's centre, `[height, width]` int64, -1 where there is none."""
+    def face_ids(self, triangles: Triangles, view: View, part: Part | None = None) -> Tensor:
+        """Id of the nearest face through each pixel's centre, `[height, width]` int64, -1 where there is none.
+
+        part: rows and columns, equal to that part of the whole view; None for all.
+        """
         ...
 
 
@@ -41,9 +44,9 @@ class FirstFound:
     def name(self) -> str:
         return self.found.name
 
-    def face_ids(self, triangles: Triangles, view: View) -> Tensor:
+    def face_ids(self, triangles: Triangles, view: View, part: Part | None = None) -> Tensor:
         """As of the chosen face source."""
-        return self.found.face_ids(triangles, view)
+        return self.found.face_ids(triangles, view, part)
 
 
 def face_source(name: Literal["auto", "opengl", "raycast"] = "auto") -> FaceSource:
@@ -66,8 +69,8 @@ class ExactSurfaces:
     source: FaceSource
 
     def gbuffer(self, triangles: Triangles, view: View, part: Part | None = None) -> GBuffer:
-        view = view if part is None else view.within(*part)
-        return gbuffer(triangles, view, self.source.face_ids(triangles, view))
+        face_ids = self.source.face_ids(triangles, view, part)
+        return gbuffer(triangles, view if part is None else view.within(*part), face_ids)
 
 
 @dataclass(frozen=True)
