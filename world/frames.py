@@ -95,6 +95,10 @@ class View:
         """The same view with `rows` rows for each of its own."""
         return replace(self, height=rows * self.height, fy=rows * self.fy, cy=rows * self.cy)
 
+    def with_columns(self, step: int) -> "View":
+        """The same view with a column for each `step` of its own."""
+        return replace(self, width=self.width // step, fx=self.fx / step, cx=self.cx / step)
+
     def within(self, rows: slice, columns: slice) -> "View":
         """The part of the view in these rows and columns."""
         size = {"height": rows.stop - rows.start, "width": columns.stop - columns.start}

@@ -95,6 +95,17 @@ class TexelGrid:
         """Continuous texture coordinates (row, column), texel centres at integer + 0.5, of tangents y (left) and z (up) (T eq. 2.3.2)."""
         return (self.top - z) / (self.top - self.bottom) * self.rows, (self.left - y) / (self.left - self.right) * self.cols
 
+    @property
+    def projection(self) -> Tensor:
+        """Matrix `[3, 3]` float64 from a point of the lamp's frame to homogeneous texture coordinates w, u, v.
+
+        u / w and v / w are -1..1 from border to border, right and down (T eq. 2.3.2).
+        """
+        u, v = (
+            ((first + last) / (first - last), -2 / (first - last)) for first, last in ((self.left, self.right), (self.top, self.bottom))
+        )
+        return torch.tensor([[1, 0, 0], [u[0], u[1], 0], [v[0], 0, v[1]]], dtype=torch.float64)
+
     def tangents(self, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
         """Tangents of the texel centres: y `[cols]` (left positive) and z `[rows]` (up positive); rays are [1, y, z] (T eq. 7.3.1)."""
         return _centres(self.cols, self.left, self.right, dtype, device), _centres(self.rows, self.top, self.bottom, dtype, device)

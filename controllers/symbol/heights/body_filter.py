@@ -19,6 +19,7 @@ from luxloop.world.params import Params
 from luxloop.world.scene.vehicle import body_pose
 
 PARTS: Final = 8  # intervals of a prediction, in which a mode's input is linear
+TIME_DIGITS: Final = 9  # of a duration in s, so that its rounding does not miss the caches
 OTHER_HZ: Final = 1.3  # frequency of other disturbances of the body, undamped
 
 
@@ -187,7 +188,7 @@ class BodyFilter:
 
     def T_level_body(self, time_s: float) -> Tensor:
         """Predicted pose `[4, 4]` of the body in the level frame at a time."""
-        body = self._transition(time_s - self.time_s) @ self.mean  # [BODY]
+        body = self._transition(round(time_s - self.time_s, TIME_DIGITS)) @ self.mean  # [BODY]
         return body_pose(_output_rows(0, BODY) @ body, self.pivot_x_m)
 
     def _measure(self, ego: Ego) -> "BodyFilter":
@@ -211,7 +212,7 @@ class BodyFilter:
 
     def at(self, time_s: float) -> "BodyFilter":
         """Kalman prediction to a time at constant speed, `x = F x`, `P = F P F' + Q`; the road strip moves by whole cells."""
-        duration_s = time_s - self.time_s
+        duration_s = round(time_s - self.time_s, TIME_DIGITS)
         body, strip = self._transition(duration_s), slice(BODY, None)
         shared = body @ self.covariance  # F P [BODY, n]
         covariance = self.covariance.clone()
@@ -222,12 +223,14 @@ class BodyFilter:
         covariance[:BODY, strip], covariance[strip, :BODY] = shared[:, strip], shared[:, strip].T
         mean, way_m = torch.cat([body @ self.mean, self.mean[strip]]), self.way_m + self.speed_m_s * duration_s
         count, shift = len(self._cells()), max(math.floor((way_m + self.axles_m[1] - BEHIND_M - self.start_m) / CELL_M), 0)
-        kept = (torch.arange(count) + shift).clamp(max=count - 1)  # the road continues from its last seen height
-        order = torch.cat([torch.arange(BODY), BODY + kept, BODY + count + kept])  # [n]
-        mean, covariance = mean[order], covariance[order][:, order]
-        mean[BODY : BODY + count] -= self.slope_rad * CELL_M * (torch.arange(count) + shift - kept)  # new cells only
-        new = torch.nn.functional.pad(_walk(min(shift, count)), (max(count - shift, 0), 0) * 2)  # [count, count], 0 but for new cells
-        covariance = covariance + torch.block_diag(new.new_zeros(BODY, BODY), 0.5 * new, 2.0 * new)
+        if shift:
+            kept = (torch.arange(count) + shift).clamp(max=count - 1)  # the road continues from its last seen height
+            order = torch.cat([torch.arange(BODY), BODY + kept, BODY + count + kept])  # [n]
+            mean, covariance = mean[order], covariance[order].T[order]  # which is symmetric
+            mean[BODY : BODY + count] -= self.slope_rad * CELL_M * (torch.arange(count) + shift - kept)  # new cells only
+            for end, share in ((BODY + count, 0.5), (BODY + 2 * count, 2.0)):
+                new = slice(end - min(shift, count), end)
+                covariance[new, new] += share * _walk(min(shift, count))
         return replace(self, time_s=time_s, way_m=way_m, start_m=self.start_m + shift * CELL_M, mean=mean, covariance=covariance)
 
     def _transition(self, duration_s: float) -> Tensor:

@@ -152,8 +152,8 @@ class MeasuringFeedforward:
         binary = bits.cumsum(0) % 2  # from Gray code
         row = (binary * (2 ** torch.arange(len(bits) - 1, -1, -1, device=bits.device))[:, None, None]).sum(0)
         lamp, forward_model = self.forward_model.lamps[0], self.forward_model
-        rise = self._rise(row)
-        height = (rise * lamp.on_plane[0] - lamp.on_plane[2]) / (lamp.per_m[2] - rise * lamp.per_m[0])
+        v = self._down(row)
+        height = (v * lamp.on_plane[0] - lamp.on_plane[2]) / (lamp.per_m[2] - v * lamp.per_m[0])
         lit = contrasts[0] + contrasts[1]
         usable = (height.abs() < HIGHEST_M) & (lit > 0.2 * lit.median()) & (forward_model.inside > 0)
         heights = self._smooth(torch.where(usable, height, 0.0), usable.to(height))
@@ -177,16 +177,15 @@ class MeasuringFeedforward:
         lit = torch.from_numpy(code[:, 0] > 0).to(like)
         return lit[:, None].expand(-1, self.headlight.pixel_cols).flatten()
 
-    def _rise(self, row: Tensor) -> Tensor:
-        """z / x in the lamp's frame of pixel rows `[h, w]`, by the centre of their light in the texture."""
+    def _down(self, row: Tensor) -> Tensor:
+        """Texture coordinate v, -1..1 downwards, of pixel rows `[h, w]`, by the centre of their light in the texture."""
         light = self.headlight
         number = torch.arange(light.pixel_rows).to(light.matrix.values)[:, None].expand(-1, light.pixel_cols).flatten()
         weighted, whole = (light.light_texture(u).sum(-1).cpu() for u in (number, torch.ones_like(number)))
         mean = (weighted / whole.clamp(min=1e-9))[whole > 0]
-        texel = torch.arange(light.rows)[whole > 0] + 0.5
-        rise = light.top + (light.bottom - light.top) * texel / light.rows
+        v = (2 * torch.arange(light.rows) + 1)[whole > 0] / light.rows - 1
         order = mean.argsort()
-        return torch.from_numpy(np.interp(row.cpu().numpy(), mean[order].numpy(), rise[order].numpy())).to(self.forward_model.inside)
+        return torch.from_numpy(np.interp(row.cpu().numpy(), mean[order].numpy(), v[order].numpy())).to(self.forward_model.inside)
 
 
 def region_around(sensor: SymbolSensor) -> Region:

@@ -26,7 +26,8 @@ DARKNESS_TEXELS = 3.0  # width of a shadow's edge
 
 @dataclass(frozen=True)
 class LampSight:
-    """A module's light along lines of sight: the point of a line at height z has lamp coordinates `on_plane + z * per_m`, `[3, H, w]` m.
+    """A module's light along lines of sight: the point of a line at height z has homogeneous texture coordinates
+    w, u, v of `on_plane + z * per_m`, both `[3, H, w]` (`TexelGrid.projection`).
 
     factor: `[H, w]`, luminance of the plane in cd/m^2 per cd.
     """
@@ -38,15 +39,13 @@ class LampSight:
 
     def luminance(self, texture: Tensor, heights: Tensor) -> Tensor:
         """Luminance `[B, H, w]` in cd/m^2 of a light texture `[rows, cols]` on heights `[B, H, w]` m, shadowed by nearer heights."""
-        light = self.headlight
-        x, y, z = map(torch.addcmul, self.on_plane, self.per_m, [heights] * 3)  # in the lamp's frame, [B, H, w] each
-        row, col = light.texel_of(y / x, z / x)  # T eq. 2.3.2, [B, H, w]
-        u, v = 2 * col / light.cols - 1, 2 * row / light.rows - 1  # -1..1 from border to border, [B, H, w]
+        ray = torch.addcmul(self.on_plane[:, None], self.per_m[:, None], heights)  # [3, B, H, w]
+        place = ray[1:] / ray[0]  # u and v, [2, B, H, w]
         image = texture.expand(len(heights), 1, -1, -1)  # [B, 1, rows, cols]
-        seen = grid_sample(image, torch.stack([u, v], -1), align_corners=False)[:, 0]  # I(ray) in cd, [B, H, w]
-        horizon = row.flip(-2).cummin(-2).values.flip(-2)  # highest ray (least row) to all nearer points, [B, H, w]
+        seen = grid_sample(image, place.movedim(0, -1), align_corners=False)[:, 0]  # I(ray) in cd, [B, H, w]
+        horizon = place[1].flip(-2).cummin(-2).values.flip(-2)  # highest ray (least v) to all nearer points, [B, H, w]
         # L = I(ray) factor (T eq. 2.1.5; factor: albedo cos / (pi d^2) on the plane), minus shadows of nearer heights.
-        return seen * self.factor * ((horizon - row) / DARKNESS_TEXELS + 1.5).clamp(0, 1)
+        return seen * self.factor * ((horizon - place[1]) * (self.headlight.rows / 2 / DARKNESS_TEXELS) + 1.5).clamp(0, 1)
 
 
 @dataclass(frozen=True)
@@ -95,20 +94,21 @@ class ForwardModel:
         u0, v0 = max(math.floor(u0), 0), max(math.floor(v0), 0)
         width = (min(math.ceil(u1), whole.width) - u0) // step * step
         crop = Window(v0, max(min(math.ceil(v1), camera.height_px), v0), u0, u0 + max(width, 0))
-        rays = whole.within(*crop.slices).with_rows(samples).rays().unflatten(-1, (-1, step)).mean(-1)  # [3, H, w], H = samples * h
+        rays = whole.within(*crop.slices).with_rows(samples).with_columns(step).rays()  # [3, H, w], H = samples * h
         eye = whole.origin
         ground = eye[:, None, None] - rays * (eye[2] / rays[2])  # g, where rays meet z = 0, [3, H, w] m
         lamps = []
         for module in projector.modules:
             T_ground_headlight = T_on @ module.T_body_headlight.cpu().double()
-            T, origin = inverse(T_ground_headlight), T_ground_headlight[:3, 3]  # T_headlight_ground [4, 4], [3] m
-            on_plane = torch.einsum("ij,jhw->ihw", T[:3, :3], ground) + T[:3, 3, None, None]
-            # Derivative by z of the line of sight g + (e - g) z / e_z in the lamp's frame, [3, H, w].
-            per_m = torch.einsum("ij,jhw->ihw", T[:3, :3], (eye[:, None, None] - ground) / eye[2])
+            origin, light = T_ground_headlight[:3, 3], module.pixel_controller.headlight  # [3] m
+            P = light.projection @ inverse(T_ground_headlight)[:3]  # of points of the ground to w, u, v, [3, 4]
+            on_plane = torch.einsum("ij,jhw->ihw", P[:, :3], ground) + P[:, 3, None, None]
+            # Derivative by z of the line of sight g + (e - g) z / e_z, [3, H, w].
+            per_m = ((P[:, :3] @ eye + P[:, 3])[:, None, None] - on_plane) / eye[2]
             # albedo cos / (pi d^2) with cos = o_z / d (T eq. 2.1.5), [H, w].
-            factor = sensor.model.albedo * origin[2] / (ground - origin[:, None, None]).norm(dim=0) ** 3 / math.pi
+            factor = sensor.model.albedo * origin[2] / math.pi * (ground - origin[:, None, None]).square().sum(0) ** -1.5
             parts = (part.float().to(device) for part in (on_plane, per_m, factor))
-            lamps.append(LampSight(module.pixel_controller.headlight, *parts))
+            lamps.append(LampSight(light, *parts))
         middle = average_rows(ground, samples)  # [3, h, w] m
         rows = max(2, round((region.x_far_m - region.x_near_m) / cell_m[0]))
         cols = max(2, round((region.y_left_m - region.y_right_m) / cell_m[1]))
@@ -133,16 +133,16 @@ class ForwardModel:
         contrast, limit, _ = self._contrast(frames)
         return contrast, limit
 
-    def observe_symbol(self, frames: tuple[Tensor, Tensor], textures: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-        """Contrast and threshold `[h, w]` in cd/m^2, corrected by the pixels that the symbol leaves dark. textures: symbol's light, one a
-        module.
+    def observe_symbol(self, frames: tuple[Tensor, Tensor], expected: Tensor) -> tuple[Tensor, Tensor]:
+        """Contrast and threshold `[h, w]` in cd/m^2, corrected by the pixels that the symbol leaves dark on the assumed road.
+
+        expected: `[h, w]` cd/m^2, luminance of the symbol there.
 
         Contrast: less the median change of the other light between the frames. Threshold: raised if the noise exceeds the camera's. No
         correction without dark pixels.
         """
         contrast, limit, without = self._contrast(frames)
-        # Pixels that the symbol leaves dark on the plane, [h, w] bool.
-        dark = (self.inside > 0) & (self.luminance(textures, torch.zeros_like(limit)[None])[0] < limit)
+        dark = (self.inside > 0) & (expected < limit)  # [h, w] bool
         rise = (contrast / without)[dark].median()  # change of the other light as a share of it, []
         changed = (contrast / limit)[dark].median().abs() > 1
         contrast = torch.where(changed, contrast - rise * without, contrast)

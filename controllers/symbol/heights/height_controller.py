@@ -1,6 +1,7 @@
 """luxloop's controller: estimates the road's heights from the image of the symbol, and draws the symbol for the estimated road."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
@@ -12,7 +13,7 @@ from luxloop.controllers.symbol.heights.body_filter import BodyFilter, BodyParam
 from luxloop.controllers.symbol.heights.body_poses import AT_REST, BodyPoses, BodyPrediction, ground_at
 from luxloop.controllers.symbol.heights.forward_model import ForwardModel
 from luxloop.controllers.symbol.heights.height_map import draw_on
-from luxloop.controllers.symbol.heights.registration import HEIGHT_M, ITERATIONS, Heights, Registration, plane_sweep
+from luxloop.controllers.symbol.heights.registration import BLURS, COARSE, FINE, HEIGHT_M, Blur, Heights, Registration, plane_sweep
 from luxloop.controllers.symbol.heights.road_map import RoadMap
 from luxloop.controllers.symbol.sensing.field import aim, elsewhere
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
@@ -31,6 +32,7 @@ from luxloop.world.params import NotNegative, Params
 from luxloop.world.scene.vehicle import LEARNT_M
 
 LEAST_LIT_PX = 20.0  # least lit pixels of a symbol
+COLUMNS, LINES = 5, 3  # for each node: columns of the registered image, and lines of sight along, at most as many a camera row
 HEIGHTS = 57  # number of heights of a plane sweep
 LEAST_LIGHT = 0.05  # of the mean expected light: weight of the previous brightness of a node
 LOW_M = {"appearance": 0.1, "place": 0.03}  # heights up to here are registered without relocalisation, by kind of target
@@ -97,12 +99,17 @@ class HeightController:
         self.params, self.projector, self.sensor = params, sensor.projector, sensor
         self.region = region_of(self.projector.params, *params.beyond_m)
         self.reach_m = self.projector.params.x_m - self.projector.params.length_m / 4
+        view, (length_m, width_m) = camera_view(sensor.camera), params.cell_m
+        height_m, away_m = float(view.origin[2]), self.projector.params.x_m - float(view.origin[0])
+        self.columns = max(2, round(view.fx * width_m / away_m / COLUMNS))  # camera columns a column of the image, two against noise
+        rows = view.fy * height_m * length_m / away_m**2  # camera rows a node at the target
+        self.samples = min(LINES, max(1, round(LINES / rows)))
         self.standing = keeping(2, self._standing)
         self.cached_draw = keeping(1, self._draw)
         self.registration = self.over(HERE)[1]
         self.nothing = self._nothing(self.registration)  # the empty road map of a standing vehicle
         lamps = torch.stack([module.T_body_headlight[:3, 3].cpu().double() for module in self.projector.modules])
-        self.ends = torch.stack([camera_view(sensor.camera).origin, *lamps], 1)  # in the body frame
+        self.ends = torch.stack([view.origin, *lamps], 1)  # in the body frame
         self.in_flight = sensor.camera.latency_steps + sensor.camera.latency_spread_steps + 2
         self.tried = torch.linspace(-params.highest_m, params.highest_m, HEIGHTS, device=self.projector.symbol.device)
 
@@ -186,14 +193,15 @@ class HeightController:
         nothing = self.nothing if body_poses.still else self._nothing(registration).over(road_map.heights.base)
         fine, known = registration.forward_model, road_map.heights
         informed = known.any_information
-        contrast, limit = fine.observe_symbol(frames, textures)
-        seen, least_seen = fine.symbol(contrast, limit), limit
-        lit = float(seen.sum()) * fine.step >= LEAST_LIT_PX
-        limit = limit / fine.on_pixels(road_map.brightness)  # relative to the assumed road's brightness
         drawn = road_map.candidate_of(observation.shown.projection)
         late = [] if drawn is None or drawn.heights is known else [drawn.heights.mean]
         roads = torch.stack([nothing.heights.mean, *[known.mean] * informed, *late])
-        leaves = registration.residual(roads, seen, textures, limit).tolist()
+        expected = fine.luminance(textures, fine.on_pixels(roads))
+        contrast, limit = fine.observe_symbol(frames, expected[0])
+        seen, least_seen = fine.symbol(contrast, limit), limit
+        lit = float(seen.sum()) * fine.step >= LEAST_LIT_PX
+        limit = limit / fine.on_pixels(road_map.brightness)  # relative to the assumed road's brightness
+        leaves = registration.residual(expected, seen, limit).tolist()
         flat_leaves, before = leaves[0], leaves[informed]
         if lit and not informed and flat_leaves <= self.params.evidence:
             return nothing  # since no heights can explain so much more
@@ -201,19 +209,20 @@ class HeightController:
         if body_poses.still and unsure and (acquired := self._relocalise(road_map, observation)) is not None:
             return self._observe(self.over(acquired.T_ground_plane)[1], acquired, observation, body_poses)
         if not lit:
-            there = fine.symbol(fine.luminance(textures, fine.on_pixels(known.mean)[None])[0], limit) * fine.inside
+            there = fine.symbol(expected[int(informed)], limit) * fine.inside
             return road_map if float(there.sum()) * fine.step < LEAST_LIT_PX else nothing
         if drawn is not None:
             residual = leaves[-1] if late else before
             road_map = road_map.rate(drawn, residual if residual < flat_leaves else math.inf)
             if road_map.kept is not None and road_map.kept.done:
                 return replace(road_map, heights=road_map.kept.best.heights, brightness=road_map.kept.best.brightness)
-        iterations = 1 if informed else ITERATIONS  # the next observation corrects the rest; more iterations fit noise
-        least, best = self._refine(registration, known, known.mean, seen, textures, limit, iterations)
+        # The next observation corrects the rest; more steps fit noise.
+        blurs = BLURS if not informed else (COARSE, FINE) if before > self.params.evidence else (FINE,)
+        least, best, light = self._refine(registration, known, known.mean, seen, textures, limit, blurs)
         if least > self.params.sweep_above:
             swept = self._sweep(road_map, frames, textures, body_poses)
             again = self._refine(registration, known, swept, seen, textures, limit)
-            least, best = min((least, best), again, key=lambda each: each[0])
+            least, best, light = min((least, best, light), again, key=lambda each: each[0])
         road_map = replace(road_map, settled=road_map.settled or before > POOR_ROAD)
         if least > POOR and body_poses.still and road_map.searched == searched < SEARCHES:
             if (acquired := self._relocalise(road_map, observation)) is not None:
@@ -222,11 +231,11 @@ class HeightController:
         if least > flat_leaves - (0.0 if informed else self.params.evidence):
             return nothing
         information = known.information + best.information
-        gain = best.information.trace() / information.trace().clamp(min=1)  # weight of this observation against all earlier ones
-        brightness = _brightness(fine, best.mean, road_map.brightness, contrast, seen, textures, least_seen)
+        gain = best.information.sum() / information.sum().clamp(min=1)  # weight of this observation against all earlier ones
+        brightness = _brightness(fine, light, road_map.brightness, contrast, seen, least_seen)
         share = (least / before if least < before else 1.0) if body_poses.still else self.params.memory
         return replace(
-            road_map, heights=replace(best, information=information.mul_(share)), brightness=road_map.brightness.lerp(brightness, gain)
+            road_map, heights=replace(best, information=information * share), brightness=road_map.brightness.lerp(brightness, gain)
         )
 
     def _refine(
@@ -237,11 +246,12 @@ class HeightController:
         seen: Tensor,
         textures: tuple[Tensor, ...],
         limit: Tensor,
-        iterations: int = ITERATIONS,
-    ) -> tuple[float, Heights]:
-        """Heights refined from nodes `[n]`, and their residual."""
-        found = registration.refine(nodes, known, seen, textures, limit, iterations)
-        return float(registration.residual(found.mean[None], seen, textures, limit)[0]), found
+        blurs: Sequence[Blur] = BLURS,
+    ) -> tuple[float, Heights, Tensor]:
+        """Heights refined from nodes `[n]`, their residual, and the luminance `[h, w]` that they predict."""
+        found = registration.refine(nodes, known, seen, textures, limit, blurs)
+        light = registration.forward_model.luminance(textures, registration.forward_model.on_pixels(found.mean[None]))
+        return float(registration.residual(light, seen, limit)), found, light[0]
 
     def _relocalise(self, road_map: RoadMap, observation: Observation) -> RoadMap | None:
         """The road from the symbol's place in the whole image; None if its heights are small enough for registration alone."""
@@ -292,9 +302,10 @@ class HeightController:
 
     def _sweep(self, road_map: RoadMap, frames: tuple[Tensor, Tensor], textures: tuple[Tensor, ...], body_poses: BodyPoses) -> Tensor:
         coarse = self.over(road_map.T_ground_plane)[0] if body_poses.still else self._coarse(body_poses)
-        contrast, limit = coarse.observe_symbol(frames, textures)
+        base = road_map.heights.base
+        contrast, limit = coarse.observe_symbol(frames, coarse.luminance(textures, coarse.on_pixels(base[None]))[0])
         seen, limit = coarse.symbol(contrast, limit), limit / coarse.on_pixels(road_map.brightness)
-        return plane_sweep(coarse, seen, textures, limit, self.tried, road_map.heights.base)
+        return plane_sweep(coarse, seen, textures, limit, self.tried, base)
 
     def _draw(self, road_map: RoadMap, prediction: BodyPrediction = AT_REST) -> ProjectionCommand:
         """The command for the estimated road and the predicted pose of the body."""
@@ -322,10 +333,10 @@ class HeightController:
         return self._coarse(body_poses), self._fine(body_poses)
 
     def _fine(self, body_poses: BodyPoses) -> Registration:
-        return Registration.prepare(self._forward_model(body_poses, 2, 3))
+        return Registration.prepare(self._forward_model(body_poses, self.columns, self.samples))
 
     def _coarse(self, body_poses: BodyPoses) -> ForwardModel:
-        return self._forward_model(body_poses, 4, 1)
+        return self._forward_model(body_poses, 2 * self.columns, 1)
 
     def _forward_model(self, body_poses: BodyPoses, step: int, samples: int) -> ForwardModel:
         """Forward model for the body's poses at the two frames."""
@@ -345,7 +356,7 @@ def _preview(body: BodyFilter, road_map: RoadMap, body_poses: BodyPoses, ego: Eg
 
 def _assume_heights(road_map: RoadMap, heights: Tensor) -> RoadMap:
     """The road map with assumed heights `[n]` and their usual variance."""
-    return replace(road_map, heights=Heights(heights, torch.eye(len(heights)).to(heights) / HEIGHT_M**2, heights))
+    return replace(road_map, heights=Heights(heights, torch.full_like(heights, 1 / HEIGHT_M**2), heights, torch.zeros_like(heights)))
 
 
 def flat_command(target: Tensor, T_body_ground: Tensor) -> ProjectionCommand:
@@ -357,14 +368,11 @@ def flat_command(target: Tensor, T_body_ground: Tensor) -> ProjectionCommand:
     return ProjectionCommand(pose.to(target), z.to(target))
 
 
-def _brightness(
-    fine: ForwardModel, heights: Tensor, before: Tensor, contrast: Tensor, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor
-) -> Tensor:
-    """Brightness `[n]` of the nodes: measured contrast over expected luminance on these heights.
+def _brightness(fine: ForwardModel, expected: Tensor, before: Tensor, contrast: Tensor, seen: Tensor, limit: Tensor) -> Tensor:
+    """Brightness `[n]` of the nodes: measured contrast over expected luminance, `[h, w]` each.
 
     limit: `[h, w]` cd/m^2, least expected luminance of a pixel that counts.
     """
-    expected = fine.luminance(textures, fine.on_pixels(heights)[None])[0]
     lit = (seen > 0.5) & (expected > limit)
     there, usual = fine.on_nodes(torch.stack([contrast, expected]) * lit)
     guess = LEAST_LIGHT * usual.mean()

@@ -1,6 +1,7 @@
 """Road heights from one observation: plane sweep as initial guess, then Gauss-Newton registration with band matrices."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -12,45 +13,16 @@ from torch.nn.functional import pad
 from luxloop.controllers.symbol.heights.forward_model import ForwardModel
 
 
-def whole(band: Tensor) -> Tensor:
-    """The full symmetric matrix `[n, n]` of a band `[width, n]`."""
-    width, n = band.shape
-    matrix = band.new_zeros(n * (n + width))
-    # Element (j, j + d) at d + j (n + 1), (j + d, j) at d n + j (n + 1). Those with j + d >= n are zero: of the first, which land in the
-    # lower half, the second write over what is in the band.
-    matrix.as_strided((width, n), (1, n + 1)).copy_(band)
-    matrix.as_strided((width, n), (n, n + 1)).copy_(band)
-    return matrix[: n * n].view(n, n)
-
-
-def band_of(matrix: Tensor, width: int) -> Tensor:
-    """Main diagonal and the width - 1 below it of a symmetric matrix `[n, n]`."""
-    places, there = _places(width, len(matrix), matrix.device)
-    return matrix.flatten()[places] * there
-
-
 def solve(band: Tensor, right: Tensor) -> Tensor:
-    """The `x [n]` with `A x = right [n]` of a positive definite band matrix A."""
-    if band.device.type != "cpu":
-        return solve_whole(whole(band), right)
-    return torch.from_numpy(scipy.linalg.solveh_banded(band.numpy(), right.numpy(), lower=True, check_finite=False))
+    """The `x [n, k]` with `A x = right [n, k]` of a positive definite band matrix A: its main diagonal and those below, `[width, n]`."""
+    found = scipy.linalg.solveh_banded(band.cpu().numpy(), right.cpu().numpy(), lower=True, check_finite=False)
+    return torch.from_numpy(found).to(right.device)
 
 
-def solve_whole(matrix: Tensor, right: Tensor) -> Tensor:
-    """`solve` for a full matrix `[n, n]`."""
-    return torch.cholesky_solve(right[:, None], torch.linalg.cholesky(matrix))[:, 0]
-
-
-@lru_cache(maxsize=4)
-def _places(width: int, n: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Flat indices `[width, n]` of the elements (j + d, j) in a matrix `[n, n]`, and which of them exist."""
-    d, j = torch.arange(width, device=device)[:, None], torch.arange(n, device=device)
-    return (d * n + j * (n + 1)).clamp(max=n * n - 1), d + j < n
-
-
-BLURS = ((1.0, 4.0, 0.4), (0.6, 2.5, 0.25))  # rows and camera columns, and half the residual of an outlier
+Blur = tuple[float, float, float]  # rows and camera columns, and half the residual of an outlier
+COARSE, FINE = (1.0, 4.0, 0.4), (0.6, 2.5, 0.25)
+BLURS = (COARSE,) * 3 + (FINE,) * 3  # of the steps from unknown heights
 HIDDEN = 0.6  # factor on the outlier scale where light is missing, since it may be hidden
-ITERATIONS = 3
 PROBE_M = 0.002  # of height, for slopes
 LARGEST_STEP_M = 0.03
 PIXEL_SIGMA = 0.15  # of the symbol image
@@ -61,20 +33,20 @@ FREE_M = 0.01  # tolerance of heights above a free light path
 
 @dataclass(frozen=True)
 class Heights:
-    """Height estimate at the nodes: mean `[n]` m, information matrix `[n, n]` 1/m^2, and base `[n]` m, the mean before any observation.
+    """Height estimate at the nodes: mean `[n]` m, information of each `[n]` 1/m^2, and base `[n]` m, the mean before any observation.
 
-    spread: whether the information may couple distant nodes, as after motion.
+    shared: `[n]` 1/m, of an error that all heights share: the information matrix is `diag(information) - shared shared'`.
     """
 
     mean: Tensor
     information: Tensor
     base: Tensor
-    spread: bool = False
+    shared: Tensor
 
     @property
     def any_information(self) -> bool:
         """Whether the information is not zero."""
-        return bool(self.information.diagonal().any())
+        return bool(self.information.any())
 
 
 @dataclass(frozen=True)
@@ -108,23 +80,21 @@ class Registration:
 
     def unknown(self) -> Heights:
         """Heights of zero without information."""
-        n = self.forward_model.rows * self.forward_model.cols
-        zero = self.slopes.new_zeros(n)
-        return Heights(zero, zero.new_zeros(n, n), zero)
+        return Heights(*self.slopes.new_zeros(4, self.forward_model.rows * self.forward_model.cols))
 
-    def residual(self, nodes: Tensor, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor) -> Tensor:
-        """Residual `[k]` of heights `[k, n]` against a symbol image `[h, w]`, as a share of the predicted lit area."""
-        predicted = self._predict(self.forward_model.on_pixels(nodes), textures, limit, BLURS[-1])  # [k, h, w]
+    def residual(self, luminance: Tensor, seen: Tensor, limit: Tensor) -> Tensor:
+        """Residual `[k]` of predicted luminances `[k, h, w]` against a symbol image `[h, w]`, as a share of the predicted lit area."""
+        predicted = self._blur(self.forward_model.symbol(luminance, limit), FINE)  # [k, h, w]
         # min(e^2, 0.3^2), [k, h, w].
-        error = (self._blur(seen[None], BLURS[-1]) - predicted).square().clamp(max=0.09) * self.forward_model.inside
+        error = (self._blur(seen[None], FINE) - predicted).square().clamp(max=0.09) * self.forward_model.inside
         return error.sum((-2, -1)) / (predicted * self.forward_model.inside).sum((-2, -1)).clamp(min=1.0)
 
     def refine(
-        self, nodes: Tensor, known: Heights, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor, iterations: int = ITERATIONS
+        self, nodes: Tensor, known: Heights, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor, blurs: Sequence[Blur] = BLURS
     ) -> Heights:
         """Gauss-Newton from heights `[n]` m, on a symbol image `[h, w]` and prior heights; returns the information of the image alone.
 
-        iterations: number of steps at each of the two blurs.
+        blurs: of each step.
 
         The heights z have the least `sum rho(seen - p(z)) + (z - m)' L (z - m) + sum 4 log(1 + d_ij^2 / (4 s_ij^2)) + |z - b|^2 / h^2` with
         the predicted image p, Tukey's biweight rho, the known mean m and information L, the base b, its usual distance h, and the
@@ -132,43 +102,38 @@ class Registration:
         """
         forward_model, (i, j) = self.forward_model, self.edges
         lit, dark = (each & (forward_model.inside > 0) for each in (seen > 0.5, seen < 0.2))
-        for blur in BLURS:
-            smooth = self._blur(seen, blur)
-            for _ in range(iterations):
-                heights, beside = forward_model.on_pixels(nodes), nodes - known.base
-                higher, lower = self._predict(torch.stack([heights + PROBE_M, heights - PROBE_M]), textures, limit, blur)
-                slope, error = (higher - lower) / (2 * PROBE_M), smooth - (higher + lower) / 2  # J = dp/dz and e, both [h, w]
-                scale = 2 * blur[2] * torch.where(error < 0, HIDDEN, 1.0)  # of Tukey's biweight w = (1 - (e / scale)^2)^2
-                weight = (  # W = w / sigma^2 times independent pixels, step / (rows * columns of the blur), [h, w]
-                    (1 - (error / scale) ** 2).clamp(min=0) ** 2
-                    * forward_model.inside
-                    * (forward_model.step / (PIXEL_SIGMA**2 * blur[0] * blur[1]))
-                )
-                weighted = weight * slope  # W J, [h, w]
-                free, above = self._free(heights, lit, dark)  # f and its weight A, [h, w] each
-                step = beside[i] - beside[j]  # d_ij, [E_d + E_r]
-                stiffness = 1 / (self.slopes**2 + step**2 / 4)  # an edge as soon as it is steep: Cauchy, [E_d + E_r]
-                force = (  # J' W e and the pull down to f + L (m - z) + (b - z) / h^2 - D' diag(stiffness) d with d = D (z - b), [n]
-                    forward_model.on_nodes(weighted * error + above * (free - heights))
-                    + known.information @ (known.mean - nodes)
-                    - beside / HEIGHT_M**2
-                ).index_add_(0, self.edges.flatten(), torch.cat([-stiffness * step, stiffness * step]))
-                matrix = self._normal_matrix(weighted * slope + above)  # J' W J + A + D' diag(stiffness) D + 1 / h^2, a band matrix
-                matrix.view(-1).index_add_(0, self.tied, torch.cat([stiffness, stiffness, -stiffness]))
-                matrix[0].add_(1 / HEIGHT_M**2)
-                # The step of Gauss-Newton, (matrix + L)^-1 force [n].
-                if known.spread:
-                    moved = solve_whole(whole(matrix) + known.information, force)
-                else:
-                    moved = solve(matrix + band_of(known.information, len(matrix)), force)
-                nodes = nodes + moved.clamp(-LARGEST_STEP_M, LARGEST_STEP_M)
-        return Heights(nodes, whole(self._normal_matrix(weighted * slope)), known.base, known.spread)
+        for blur in blurs:
+            heights, beside = forward_model.on_pixels(nodes), nodes - known.base
+            luminance = forward_model.luminance(textures, torch.stack([heights + PROBE_M, heights - PROBE_M]))
+            smooth, higher, lower = self._blur(torch.cat([seen[None], forward_model.symbol(luminance, limit)]), blur)
+            slope, error = (higher - lower) / (2 * PROBE_M), smooth - (higher + lower) / 2  # J = dp/dz and e, both [h, w]
+            scale = 2 * blur[2] * torch.where(error < 0, HIDDEN, 1.0)  # of Tukey's biweight w = (1 - (e / scale)^2)^2
+            weight = (  # W = w / sigma^2 times independent pixels, step / (rows * columns of the blur), [h, w]
+                (1 - (error / scale) ** 2).clamp(min=0) ** 2
+                * forward_model.inside
+                * (forward_model.step / (PIXEL_SIGMA**2 * blur[0] * blur[1]))
+            )
+            weighted = weight * slope  # W J, [h, w]
+            free, above = self._free(heights, lit, dark)  # f and its weight A, [h, w] each
+            step = beside[i] - beside[j]  # d_ij, [E_d + E_r]
+            stiffness = 1 / (self.slopes**2 + step**2 / 4)  # an edge as soon as it is steep: Cauchy, [E_d + E_r]
+            force = (  # J' W e and the pull down to f + L (m - z) + (b - z) / h^2 - D' diag(stiffness) d with d = D (z - b), [n]
+                forward_model.on_nodes(weighted * error + above * (free - heights))
+                + known.information * (known.mean - nodes)
+                - known.shared * (known.shared @ (known.mean - nodes))
+                - beside / HEIGHT_M**2
+            ).index_add_(0, self.edges.flatten(), torch.cat([-stiffness * step, stiffness * step]))
+            matrix = self._normal_matrix(weighted * slope + above)  # J' W J + A + D' diag(stiffness) D + diag(L) + 1 / h^2, a band
+            matrix.view(-1).index_add_(0, self.tied, torch.cat([stiffness, stiffness, -stiffness]))
+            matrix[0].add_(known.information).add_(1 / HEIGHT_M**2)
+            # The step of Gauss-Newton, (matrix - s s')^-1 force (Sherman-Morrison), [n].
+            moved, common = solve(matrix, torch.stack([force, known.shared], 1)).unbind(1)
+            moved = moved + common * (known.shared @ moved / (1 - known.shared @ common))
+            nodes = nodes + moved.clamp(-LARGEST_STEP_M, LARGEST_STEP_M)
+        # Heights are told at the nodes alone, so each gets the sum of its row of J' W J.
+        return Heights(nodes, forward_model.on_nodes(weighted * slope), known.base, torch.zeros_like(nodes))
 
-    def _predict(self, heights: Tensor, textures: tuple[Tensor, ...], limit: Tensor, blur: tuple[float, float, float]) -> Tensor:
-        """Blurred symbol images `[k, h, w]` of heights `[k, h, w]` m at the pixels."""
-        return self._blur(self.forward_model.symbol(self.forward_model.luminance(textures, heights), limit), blur)
-
-    def _blur(self, image: Tensor, blur: tuple[float, float, float]) -> Tensor:
+    def _blur(self, image: Tensor, blur: Blur) -> Tensor:
         height, width = self.forward_model.shape
         down, across = _gaussian(blur[0], height, image.device), _gaussian(blur[1] / self.forward_model.step, width, image.device)
         return down @ image @ across
@@ -186,10 +151,10 @@ class Registration:
         """
         lamp, middle = self.forward_model.lamps[0], self.forward_model.samples // 2
         on_plane, per_m = (a[:, middle :: self.forward_model.samples] for a in (lamp.on_plane, lamp.per_m))  # [3, h, w] each
-        rise = (on_plane[2] + per_m[2] * heights) / (on_plane[0] + per_m[0] * heights)  # z / x of the lamp's rays, [h, w]
-        lowest = torch.where(lit, rise, torch.inf).cummin(-2).values  # of all lit pixels farther away, [h, w]
-        highest = (lowest * on_plane[0] - on_plane[2]) / (per_m[2] - lowest * per_m[0])  # height whose rise is the lowest, [h, w] m
-        above = (rise > lowest) & dark & lowest.isfinite() & (len(self.forward_model.lamps) == 1)
+        v = (on_plane[2] + per_m[2] * heights) / (on_plane[0] + per_m[0] * heights)  # of the lamp's rays, downwards, [h, w]
+        lowest = torch.where(lit, v, -torch.inf).cummax(-2).values  # of all lit pixels farther away, [h, w]
+        highest = (lowest * on_plane[0] - on_plane[2]) / (per_m[2] - lowest * per_m[0])  # height of the lowest ray, [h, w] m
+        above = (v < lowest) & dark & lowest.isfinite() & (len(self.forward_model.lamps) == 1)
         return torch.where(above, highest, 0.0), above / FREE_M**2 * self.forward_model.step
 
 

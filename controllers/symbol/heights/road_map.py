@@ -111,7 +111,12 @@ class RoadMap:
         mean, brightness = self._seen_by(T, eye)
         information = self._carry(self._seen_anew(self.nodes(), self.heights.mean, self.eye, inverse(T), eye))
         return replace(
-            self, heights=Heights(mean, information, self.heights.base, spread=True), brightness=brightness, eye=eye, drawn=(), kept=None
+            self,
+            heights=Heights(mean, information, self.heights.base, torch.zeros_like(mean)),
+            brightness=brightness,
+            eye=eye,
+            drawn=(),
+            kept=None,
         )
 
     def over(self, base: Tensor) -> "RoadMap":
@@ -133,7 +138,7 @@ class RoadMap:
         heights, places = relief.under(x, y)  # [2, k] m, [2 (x, y), 2, k] m
         r = self.region
         inside = (places[0] > r.x_near_m) & (places[0] < r.x_far_m) & (places[1] < r.y_left_m) & (places[1] > r.y_right_m)
-        return heights, relief.at(self.heights.information.diagonal().view(self.grid), *places) * inside
+        return heights, relief.at(self.heights.information.view(self.grid), *places) * inside
 
     def tilt(self, pitch_rad: float, pivot_x_m: float) -> "RoadMap":
         """The map for a body pitch that is larger by pitch_rad."""
@@ -142,14 +147,14 @@ class RoadMap:
 
     def loosen(self, pitch_rad: float, pivot_x_m: float) -> "RoadMap":
         """The map with a pitch uncertainty: all heights share an error proportional to the distance from the pivot (Woodbury)."""
-        L, arm = self.heights.information, self.nodes()[0] - pivot_x_m  # [n, n], a [n] m
-        pull = L @ arm
-        information = L - pull[:, None] * pull / (1 / pitch_rad**2 + arm @ pull)  # L - L a a' L / (1 / sigma^2 + a' L a)
-        return replace(self, heights=replace(self.heights, information=information, spread=True))
+        arm = self.nodes()[0] - pivot_x_m  # a [n] m
+        pull = self.heights.information * arm
+        shared = pull / (1 / pitch_rad**2 + arm @ pull).sqrt()  # L - L a a' L / (1 / sigma^2 + a' L a)
+        return replace(self, heights=replace(self.heights, shared=shared))
 
     def pitch_between(self, before: "RoadMap", pivot_x_m: float) -> float | None:
         """Pitch error in rad of the body, from the height difference to an earlier map; None if the maps share no information."""
-        known, seen = (each.heights.information.diagonal() for each in (before, self))
+        known, seen = (each.heights.information for each in (before, self))
         arm = self.nodes()[0] - pivot_x_m
         weight = arm * known * seen / (known + seen).clamp(min=1.0)  # a / (1 / k + 1 / s), [n]
         lever = float(weight @ arm)
@@ -187,17 +192,11 @@ class RoadMap:
         return torch.stack([x, y, road[2]])[:, None]
 
     def _carry(self, places: Tensor) -> Tensor:
-        """Information `[n, n]` at the nodes, from heights at positions between the nodes.
-
-        With `old = V new`, `old^T L old` becomes `new^T V^T L V new`. Heights outside the region are dropped.
-        """
+        """Information `[n]` at the nodes, shared out from positions between the nodes; that outside the region is dropped."""
         r, (rows, cols) = self.region, self.grid
         row = (r.x_far_m - places[0].flatten()) / (r.x_far_m - r.x_near_m) * rows
         col = (r.y_left_m - places[1].flatten()) / (r.y_left_m - r.y_right_m) * cols
         to, weight = neighbours(row, col, rows, cols)
         weight = weight * ((row > 0) & (row < rows) & (col > 0) & (col < cols))  # of V, [4, n]
         information = self.heights.information
-        for _ in range(2):  # V' L, transposed, and V' of that: V' L V, since L is symmetric
-            shares = (weight[:, :, None] * information).flatten(0, 1)  # [4 * n, n]
-            information = torch.zeros_like(information).index_add_(0, to.flatten(), shares).T.contiguous()
-        return information
+        return torch.zeros_like(information).index_add_(0, to.flatten(), (weight * information).flatten())

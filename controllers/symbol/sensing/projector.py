@@ -249,10 +249,7 @@ class Projector:
 
     def textures(self, lights: Sequence[Utilisation]) -> tuple[Tensor, ...]:
         """Light textures `[rows, cols]` in cd, one a module, of lights `[n_p]` minus the base beams."""
-        return tuple(
-            module.pixel_controller.headlight.light_texture(light.u - beam, None if beam.any() else light.band)
-            for module, light, beam in zip(self.modules, lights, (each.pixel_controller.default for each in self.modules), strict=True)
-        )
+        return tuple(_texture(module.pixel_controller, light) for module, light in zip(self.modules, lights, strict=True))
 
     def footprint(self, projection: ProjectionCommand, view: View, margin_m: float, shape: Tensor | None = None) -> Window:
         """The window of a camera's image in which the light of a projection, or of all projections of a batch, can appear.
@@ -282,6 +279,15 @@ class Projector:
         low, high = np.where(there, uv, np.inf).min((1, 3)).T, np.where(there, uv, -np.inf).max((1, 3)).T
         seen: list[bool] = np.any(there, (0, 2)).tolist()
         return [_window(*each, view) if some else NOWHERE for each, some in zip(zip(low, high, strict=True), seen, strict=True)]
+
+
+def _texture(controller: PixelController, light: Utilisation) -> Tensor:
+    """Light texture `[rows, cols]` in cd of a light `[n_p]` minus the base beam."""
+    added, band = light.u - controller.default, light.band
+    if controller.default.any():
+        lit = added.nonzero()[[0, -1], 0].tolist() if added.any() else [0, -1]
+        band = slice(lit[0], lit[1] + 1)
+    return controller.headlight.light_texture(added, band)
 
 
 def _window(low: Iterable[float], high: Iterable[float], view: View) -> Window:

@@ -29,7 +29,7 @@ def projection(x_m: float) -> ProjectionCommand:
 
 def of_heights(before: RoadMap, height_m: float) -> RoadMap:
     """With other heights, and with the drawing for them shown."""
-    heights = Heights(torch.full((4,), height_m), torch.eye(4), torch.zeros(4))
+    heights = Heights(torch.full((4,), height_m), torch.ones(4), *torch.zeros(2, 4))
     changed = RoadMap(heights, torch.ones(4), before.region, before.grid, before.eye, drawn=before.drawn, kept=before.kept)
     return changed.showing(projection(17 + height_m), IN_FLIGHT)
 
@@ -41,9 +41,7 @@ def looked(road_map: RoadMap, height_m: float, residual: float) -> RoadMap:
     return road_map.rate(drawn, residual)
 
 
-NOTHING = RoadMap(
-    Heights(torch.zeros(4), torch.zeros(4, 4), torch.zeros(4)), torch.ones(4), Region(15, 19, 1, -1), (2, 2), torch.tensor([2, 0, 1.2])
-)
+NOTHING = RoadMap(Heights(*torch.zeros(4, 4)), torch.ones(4), Region(15, 19, 1, -1), (2, 2), torch.tensor([2, 0, 1.2]))
 
 
 def test_road_that_comes_into_the_region_is_as_bright_as_the_assumed_one():
