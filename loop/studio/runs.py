@@ -43,8 +43,6 @@ from luxloop.world.regulation import check_beam
 from luxloop.world.scene.triangles import NOTHING
 
 KEPT_BYTES = 2**30  # of light and pictures of past steps; the oldest are dropped
-REST = 4  # rest as a multiple of the time of pictures or messages, which so take a fifth of it at most
-LONGEST_REST_S = 0.2
 UNITS = {"flux": "lm", "sharpness": "decades in 0.1 deg", "straightness": "deg"}  # of requirements by kind, else cd
 MOST_EDITS = 100  # separate edits of one step
 
@@ -84,7 +82,6 @@ class Run:
         self._below: Sequence[Utilisation] | None = None  # light of the last step without paint
         self._ahead = False  # whether edits follow the last step
         self._next: tuple[Simulation, Evaluation] | None = None  # preview of the next step
-        self._look_s = 0.0  # time of the next picture
         self._made = simulation, self.step(wanted)  # last result and its simulation
         self.white_cd_m2 = float(white_of(self._made[1], simulation))
         self.peaks_cd = [each.headlight.peak_cd for each in simulation.modules]
@@ -94,8 +91,8 @@ class Run:
         """Whether all steps of the scenario are done."""
         return len(self.snapshots) >= self.simulation.scenario.steps
 
-    def step(self, wanted: Collection[View], still: bool = True) -> Evaluation:
-        """Do a step. wanted: contents that clients show. still: whether the run pauses afterwards, with time for pictures."""
+    def step(self, wanted: Collection[View]) -> Evaluation:
+        """Do a step. wanted: contents that clients show."""
         if self._below is not None or self._next is not None:
             self.snapshots[-1] = self._take_snapshot(*self._made, self.snapshots[-1], wanted)
         while self.playback is not None and (due := self.playback.due(len(self.snapshots))) is not None:
@@ -105,13 +102,8 @@ class Run:
             state, stepped = self.simulation.step(self._state)
             result = self.simulation.evaluate(stepped, self._made[1] if self.snapshots else None)
         self.step_ms = 1e3 * (time.perf_counter() - began_s)
-        rests = still or len(self.snapshots) + 1 >= self.simulation.scenario.steps
-        looks = set(wanted) if rests or time.perf_counter() >= self._look_s else set(wanted) - PICTURES.keys()
-        began_s = time.perf_counter()
         before = self.snapshots[-1] if self.snapshots else None
-        taken = self._take_snapshot(self.simulation, result, before, looks)
-        if looks & PICTURES.keys():
-            self._look_s = time.perf_counter() + rest_s(time.perf_counter() - began_s)
+        taken = self._take_snapshot(self.simulation, result, before, wanted)
         values = (self.recorder or self.tally).add(result)
         self.highlights.add(result)
         self._state, self._made = state, (self.simulation, result)
@@ -323,11 +315,6 @@ def start(
         playback = Playback(source.recording, recording) if source.recording and recording else None
         runs.append(Run(before, source.label, source.all, wanted, playback))
     return runs
-
-
-def rest_s(spent_s: float) -> float:
-    """Rest in s after pictures or messages of a playing run that took spent_s to make."""
-    return min(REST * spent_s, LONGEST_REST_S)
 
 
 def head(runs: Sequence[Run], number: int) -> dict[str, Any]:

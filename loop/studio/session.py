@@ -339,7 +339,7 @@ class Session:
         runs = [run for run in state.runs if not run.over]
         began_s = time.perf_counter()
         for run in runs:
-            run.step(self.wanted, still=not state.playing)
+            run.step(self.wanted)
         if not runs:
             self._publish(playing=False)
             return

@@ -8,13 +8,15 @@ import numpy as np
 import torch
 
 from luxloop.loop.studio.messages import PICTURES, Request, View
-from luxloop.loop.studio.runs import Run, rest_s
+from luxloop.loop.studio.runs import Run
 from luxloop.loop.studio.session import SessionState
 from luxloop.loop.studio.shared import Blocks
 from luxloop.loop.studio.snapshot import Snapshot
 from luxloop.world.headlight import Headlight
 from luxloop.world.messages import encode, pack, raw
 
+REST = 4  # rest after messages as a multiple of the time to make them, which takes a fifth of a thread
+LONGEST_REST_S = 0.2
 MOST_ROWS = 10_000  # in a message
 FORGOTTEN = "light and pictures of this step are no longer kept: those of the step shown last are drawn; start anew to see them"
 PASSED = "roads and objects of this step that were left long ago are no longer kept"
@@ -49,7 +51,7 @@ class Stream:
                 break
             yield data
         if self._id != last:
-            self.rests_s = time.perf_counter() + rest_s(spent_s)
+            self.rests_s = time.perf_counter() + min(REST * spent_s, LONGEST_REST_S)
 
     def _newer(self, state: SessionState, request: Request, resting: bool) -> Iterator[bytes]:
         if state.number != self._number and state.scenario is not None:

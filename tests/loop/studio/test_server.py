@@ -102,11 +102,11 @@ def test_light_that_is_the_same_is_not_sent_again(served, editor):
 
 def test_messages_rest_while_the_session_plays_and_come_at_once_when_it_stops(served, editor, monkeypatch):
     editor.reset()
-    monkeypatch.setattr("luxloop.loop.studio.runs.REST", 1e9)
+    monkeypatch.setattr("luxloop.loop.studio.stream.REST", 1e9)
     rested, playing = Stream(), replace(served.studio.session.state, playing=True)
     assert "step" in kinds(rested, playing)
     began_s = time.monotonic()
-    monkeypatch.setattr("luxloop.loop.studio.runs.LONGEST_REST_S", 3600.0)
+    monkeypatch.setattr("luxloop.loop.studio.stream.LONGEST_REST_S", 3600.0)
     feed = Stream()
     assert "step" in kinds(feed, playing)
     served.studio.session.ask(Button(type="step"), print)
@@ -120,8 +120,8 @@ def test_messages_rest_while_the_session_plays_and_come_at_once_when_it_stops(se
 
 
 def test_a_step_that_a_rest_held_back_comes_at_its_end(editor, monkeypatch):
-    monkeypatch.setattr("luxloop.loop.studio.runs.REST", 1e9)
-    monkeypatch.setattr("luxloop.loop.studio.runs.LONGEST_REST_S", 1.0)
+    monkeypatch.setattr("luxloop.loop.studio.stream.REST", 1e9)
+    monkeypatch.setattr("luxloop.loop.studio.stream.LONGEST_REST_S", 1.0)
     editor.reset()
     editor.of("step", step=0)
     editor.say("speed", factor=0.002)  # 17 s from one step to the next
