@@ -264,9 +264,9 @@ def run(
     video
         Whether to write video.mp4.
     view
-        What video.mp4 shows, as `--set video.view=...`: the camera's frames, or what people see.
+        What video.mp4 shows, as `--set video.view=...`: the camera's frames, or in colour what people see.
     probe
-        Lux meter, as NAME=X,Y,Z in m of the world; more by `--set probes.NAME=...`. Its illuminance becomes a column and a curve.
+        Luxmeter, as NAME=X,Y,Z in m of the world; more by `--set probes.NAME=...`. Its illuminance becomes a column and a curve.
     report
         Whether to write report.png, which takes seconds.
     frames

@@ -1,4 +1,4 @@
-"""The film of a run: the camera's annotated frames, or what people see, at the film's own rate."""
+"""The video of a run: the camera's annotated frames, or what people see, at its own rate."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,7 +21,7 @@ VIEWS = {"driver": driver, "chase": chase, "above": above}
 
 
 class Film(VideoWriter):
-    """A film of the scenario's `video.view`."""
+    """A video of the scenario's `video.view`."""
 
     def __init__(self, path: Path, simulation: Simulation) -> None:
         """Raises LuxloopError where the file cannot be written, or the plant does not know what people see."""

@@ -78,18 +78,21 @@ class LightParams(Params):
 
 
 class VideoParams(Params):
-    """What video.mp4 shows."""
+    """The run's video."""
 
     view: Literal["camera", "driver", "chase", "above"] = Field(
         "camera",
-        description="the camera's frames with marks, one a step; or in colour what people see: from the driver's seat, behind, above",
+        description="camera: the camera's frames with boxes and outlines, one a step; others: in colour what people see",
     )
-    width_px: int = Field(1280, ge=64, le=3840, description="width of people's views, which are 16 : 9")
-    rate_hz: float = Field(30.0, ge=1, le=120, description="frames a second of people's views, in real time")
+    width_px: int = Field(1280, ge=64, le=3840, description="width of the colour views, which are 16 : 9")
+    rate_hz: float = Field(30.0, ge=1, le=120, description="frames a second of the colour views, which play in real time")
     exposure_ev: float | None = Field(
-        None, ge=-20, le=20, description="exposure value of people's views: 1.2 cd/m^2 * 2^EV is bright; left out: from the first step"
+        None,
+        ge=-20,
+        le=20,
+        description="exposure of the colour views: 1.2 cd/m^2 * 2^EV is shown at half of white; left out: 2 % of the first frame exceed it",
     )
-    age_years: float = Field(40.0, ge=1, le=120, description="age of the eye, in which glare scatters")
+    age_years: float = Field(40.0, ge=1, le=120, description="age of the observer, for disability glare in the colour views")
 
 
 class RoadConditionParams(Params):
@@ -141,8 +144,8 @@ class Scenario(Params):
         "on", description="with symbols under control: frames for the detector, with the measured symbols, without them, or both"
     )
     tracker: AnyTracker = Field(TrackerParams(), description="follows detections from frame to frame")
-    probes: Mapping[PlainName, ProbeParams] = Field({}, description="lux meters, by name")
-    video: VideoParams = Field(VideoParams(), description="what the run's film shows")
+    probes: Mapping[PlainName, ProbeParams] = Field({}, description="luxmeters for the light of the own lamps, by name")
+    video: VideoParams = Field(VideoParams(), description="the run's video")
 
     @field_validator("pixel_controller")
     @classmethod

@@ -1,4 +1,4 @@
-"""Probes: lux meters in the world, on the car or on an object."""
+"""Probes: luxmeters in the world, on the car or on an object."""
 
 from pydantic import Field, field_validator
 
@@ -6,14 +6,14 @@ from luxloop.world.params import Metres, Params, Real
 
 
 class ProbeParams(Params):
-    """A lux meter: the illuminance from the lamps at a place."""
+    """A luxmeter for the light of the own lamps."""
 
-    position_m: tuple[Metres, Metres, Metres] = Field(examples=[[50.0, 1.75, 1.1]], description="place in its frame")
+    position_m: tuple[Metres, Metres, Metres] = Field(examples=[[50.0, 1.75, 1.1]], description="position in frame")
     frame: str = Field(
-        "world", description='"world", "car" (x forward from below the middle of the lamps), or the name of an object that carries it'
+        "world", description='"world", "car" (body frame, origin below the middle of the lamps), or an object, with which it moves'
     )
     facing: tuple[Real, Real, Real] | None = Field(
-        None, examples=[[-1.0, 0.0, 0.0]], description="direction in its frame that its surface faces; left out: each module"
+        None, examples=[[-1.0, 0.0, 0.0]], description="surface normal in frame; left out: the surface faces each module in turn"
     )
 
     @field_validator("facing")

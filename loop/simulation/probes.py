@@ -1,4 +1,4 @@
-"""Probes: lux meters at places of the world, of the car or of an object."""
+"""Probes: luxmeters at places of the world, of the car or of an object."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
