@@ -12,7 +12,7 @@ from luxloop.world.headlight.matrix import LUMINANCE
 
 CORE_DEG = 0.1  # least angle of the CIE's equation
 PIGMENT = 0.5  # of brown eyes; 0 black, 1.2 light blue
-LATITUDE = 1.2  # luminance in cd/m^2 that saturates an image at EV 0 (ISO 12232)
+SATURATION_CD_M2 = 1.2  # luminance in cd/m^2 that saturates an image at EV 0 (ISO 12232)
 WHITE = 4.0  # luminance, relative to that of the exposure, that is shown as white
 BRIGHT = 0.98  # share of the first picture that its exposure does not saturate
 DARKEST = 1e-3  # luminance in cd/m^2, of a moonless night
@@ -37,7 +37,7 @@ def veil(view: View, sources: Tensor, eye_lx: Tensor, age_years: float) -> Tenso
 def exposure_of(light: Tensor) -> float:
     """Exposure value at which nearly all of light `[3, H, W]` in cd/m^2 keeps its contrast."""
     bright = np.quantile((light.movedim(0, -1) @ light.new_tensor(LUMINANCE)).cpu().numpy(), BRIGHT)
-    return math.log2(max(float(bright), DARKEST) / LATITUDE)
+    return math.log2(max(float(bright), DARKEST) / SATURATION_CD_M2)
 
 
 def develop(light: Tensor, exposure_ev: float) -> Tensor:
@@ -47,8 +47,8 @@ def develop(light: Tensor, exposure_ev: float) -> Tensor:
     """
     weight = light.new_tensor(LUMINANCE)
     luminance = (weight[:, None, None] * light).sum(0)
-    x = luminance / (LATITUDE * 2**exposure_ev)
-    shown = light * ((1 + x / WHITE**2) / (1 + x) / (LATITUDE * 2**exposure_ev))
+    x = luminance / (SATURATION_CD_M2 * 2**exposure_ev)
+    shown = light * ((1 + x / WHITE**2) / (1 + x) / (SATURATION_CD_M2 * 2**exposure_ev))
     linear = (shown / shown.amax(0).clamp(min=1)).clamp(min=0)  # what is too bright for the display keeps its hue
     return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp(min=1e-9) ** (1 / 2.4) - 0.055)
 

@@ -40,6 +40,7 @@ from luxloop.loop.report import terminal as tables
 from luxloop.loop.scenario.shipped import TEMPLATE, copy_text, examples, original
 from luxloop.world.errors import LuxloopError, did_you_mean
 from luxloop.world.files import installed_version
+from luxloop.world.params import PLAIN
 
 DEBUG = "--debug"
 INSTALL = "--install-completion"
@@ -324,8 +325,10 @@ def run(
 def _probe(given: str) -> str:
     """The override for a probe. Raises LuxloopError unless it is NAME=X,Y,Z."""
     name, _, place = given.partition("=")
-    if not re.fullmatch(r"[^,]+(,[^,]+){2}", place):
-        raise LuxloopError(f"--probe {given}: give a name and a place in m, as --probe eye=50,1.75,1.1")
+    if not re.fullmatch(PLAIN, name) or not re.fullmatch(r"[-+.\deE]+(,[-+.\deE]+){2}", place):
+        raise LuxloopError(
+            f"--probe {given}: give a name of lower-case letters, digits and _, and a place in m, as --probe eye=50,1.75,1.1"
+        )
     return f"probes.{name}.position_m=[{place}]"
 
 

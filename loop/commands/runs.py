@@ -91,7 +91,7 @@ def draw_report(directory: Path, out: Path, allow_code: bool) -> Path:
 
     if out.suffix.lower() not in {Path(each).suffix for each in PAGES}:
         raise LuxloopError(f"{out}: a report is a .png, .pdf or .svg file; give another name with --out")
-    recording = load_to_rerun(directory, allow_code)
+    recording, summary = load_to_rerun(directory, allow_code), parsed_json(content(directory / SUMMARY))
     _one_thread()
     first = Simulation.prepare(recording.scenario)
     highlights, now = Highlights(first), first
@@ -101,7 +101,6 @@ def draw_report(directory: Path, out: Path, allow_code: bool) -> Path:
                 highlights.edit(now := simulation)
             highlights.add(result)
             advance()
-    summary = parsed_json(content(directory / SUMMARY))
     write_report(out, now, highlights, recording.table, summary, recording.manifest)
     return out
 

@@ -7,12 +7,13 @@ import torch
 from torch import Tensor
 
 from luxloop.loop.recording.video import NOISY_CRF, VideoWriter
-from luxloop.loop.report.onlooker import Onlooker
+from luxloop.loop.report.onlooker import Onlooker, mean_lights
 from luxloop.loop.report.picture import frame_picture, white_of
 from luxloop.loop.report.views import above, chase, driver
 from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.eye import exposure_of
+from luxloop.world.errors import locate
 
 CAMERA_HZ = 10  # slower than most loops, so that single steps are visible
 CLEAN_CRF = 20
@@ -33,9 +34,9 @@ class Film(VideoWriter):
         size, rate_hz = (scenario.camera.width_px, scenario.camera.height_px), float(CAMERA_HZ)
         if wanted.view != "camera":
             view, rate_hz = VIEWS[wanted.view](wanted.width_px), wanted.rate_hz
-            size, duration_s = (view.width, view.height), scenario.steps / scenario.rate_hz
-            lane_width_m, beside = scenario.surface.lane_width_m, wanted.view != "driver"
-            self._onlooker = Onlooker(simulation.world, view, duration_s, lane_width_m, wanted.age_years, beside)
+            size = view.width, view.height
+            with locate(f"video.view = {wanted.view!r}"):
+                self._onlooker = Onlooker.of(simulation, view, with_car=wanted.view != "driver")
         self._exposure_ev, self._rate_hz, self._frames = wanted.exposure_ev, rate_hz, 0
         super().__init__(path, rate_hz, size, NOISY_CRF if self._onlooker is None else CLEAN_CRF)
 
@@ -45,7 +46,8 @@ class Film(VideoWriter):
             self._white = white_of(result, self._simulation) if self._white is None else self._white
             self.add(frame_picture(result, self._simulation, self._white))
             return
-        time_s, lights, commands = result.time_s, result.lights, result.now.commands
+        time_s, commands = result.time_s, result.now.commands
+        lights = mean_lights(result, self._simulation.scenario.shares)
         if self._exposure_ev is None:
             self._exposure_ev = exposure_of(self._onlooker.light(time_s, lights, commands))
         before_s, earlier = self._before or (time_s, lights)

@@ -25,18 +25,19 @@ class Highlights:
 
     def __init__(self, simulation: Simulation) -> None:
         self._moments: dict[int, Evaluation] = {}  # the first, some between, and the last so far
+        self._scheduled: tuple[Simulation, Evaluation] | None = None  # the step amid the schedules of most functions
         self.symbols = list[SymbolHistory]()
         self.edit(simulation)
 
     def edit(self, simulation: Simulation) -> None:
         """Continue with an edited simulation, which may have other symbols and another number of steps."""
-        scenario = simulation.scenario
+        self._simulation, scenario = simulation, simulation.scenario
         tracker, steps = scenario.tracker, scenario.steps
         # the last step without light on tracks
         frames = scenario.camera.latency_steps + tracker.confirm_frames if scenario.detector and isinstance(tracker, TrackerParams) else 1
         first = min(frames, steps) - 1
         self._busiest = busiest_step(scenario)
-        self._kept = {self._busiest, *(first + k * (steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS))}
+        self._kept = {first + k * (steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS)}
         known = {each.name for each in self.symbols}
         self.symbols += [SymbolHistory(name, simulation.scenario.steps) for name in simulation.controlled if name not in known]
 
@@ -46,14 +47,17 @@ class Highlights:
         return list(self._moments.values())[-MOMENTS:]
 
     @property
-    def busiest(self) -> Evaluation:
-        """The step that shows the functions at work: by their schedule, or the last one that draws most."""
-        if self._busiest in self._moments:
-            return self._moments[self._busiest]
-        return max(self.moments, key=lambda each: (0 if each.plan.primitives is None else len(each.plan.primitives), each.step))
+    def busiest(self) -> tuple[Simulation, Evaluation]:
+        """The step that shows the functions at work, and its simulation: by their schedule, or the last moment that draws most."""
+        if self._scheduled is not None:
+            return self._scheduled
+        drawn = max(self.moments, key=lambda each: (0 if each.plan.primitives is None else len(each.plan.primitives), each.step))
+        return self._simulation, drawn
 
     def add(self, result: Evaluation) -> None:
         """Add a step."""
+        if result.step == self._busiest:
+            self._scheduled = self._simulation, result
         self._moments = {step: each for step, each in self._moments.items() if step in self._kept} | {result.step: result}
         for each in self.symbols:
             each.add(result)

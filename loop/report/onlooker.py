@@ -1,4 +1,4 @@
-"""What people see of a run, in colour: a driver's view, one from behind the car and one from above."""
+"""What people see of a run, in colour, from any view."""
 
 import math
 from collections.abc import Sequence
@@ -10,6 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from luxloop.loop.simulation.evaluator import Evaluation
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import LitScene, World
 from luxloop.perception.eye import develop, smooth, veil
 from luxloop.world.caches import Part
@@ -30,7 +32,14 @@ LAMP_M: Final = 0.3  # by which a lamp's point lies inside its body
 NOSE_M: Final = 0.05  # from the own car's lamps to its front end
 EDGE_M: Final = 0.4  # of the asphalt beyond a lane
 BEHIND_M: Final = 20.0  # behind the car up to which the road is seen
+AHEAD_M: Final = 200.0  # of the course's end, up to which the lane goes straight on
 COURSE_S: Final = 0.1  # between the places that give the course
+
+
+def mean_lights(result: Evaluation, shares: Sequence[float]) -> list[Tensor]:
+    """Utilisations `[n_p]` of each module that an eye sees in a step: the mean over its exposures. shares: of time, of each exposure."""
+    modules = zip(*(each.lights for each in result.exposures), strict=True)
+    return [sum((share * each.u for share, each in zip(shares, lights, strict=True)), torch.zeros(())) for lights in modules]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +56,10 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class Onlooker:
-    """Somebody who looks at a world.
+    """A person's view of a world, on the CPU.
 
     view: in the ground frame. duration_s: of the drive, whose course has the lane and one for oncoming traffic on its left, between grass.
-    beside: whether the own car is in sight.
+    with_car: whether the own car is in sight.
     """
 
     world: World
@@ -58,7 +67,14 @@ class Onlooker:
     duration_s: float
     lane_width_m: float
     age_years: float = 40.0
-    beside: bool = False
+    with_car: bool = False
+
+    @classmethod
+    def of(cls, simulation: Simulation, view: View, with_car: bool = False) -> "Onlooker":
+        """A view of a simulation's world. Raises LuxloopError if the plant does not know it."""
+        scenario = simulation.scenario
+        duration_s = scenario.steps / scenario.rate_hz
+        return cls(simulation.world, view, duration_s, scenario.surface.lane_width_m, scenario.video.age_years, with_car)
 
     def light(self, time_s: float, lights: Sequence[Tensor], commands: Commands = ()) -> Tensor:
         """Light `[3, H, W]` in cd/m^2 that enters the eye, linear sRGB, without glare; its luminance is what a camera there
@@ -83,7 +99,7 @@ class Onlooker:
 
     def _lit(self, time_s: float) -> LitScene:
         lit = self.world.through(self.view, time_s)
-        if not self.beside:
+        if not self.with_car:
             return lit
         own = replace(self._own_car, T_world_body=lit.vehicle.T_world_body @ self._own_car.T_world_body)
         everybody = Triangles((*lit.triangles.groups, Group((*self._road_behind(lit), own))))
@@ -104,8 +120,8 @@ class Onlooker:
 
     def _light(self, lit: LitScene, lights: Sequence[Tensor], commands: Commands) -> Tensor:
         weight = torch.tensor(LUMINANCE)[:, None, None]
-        sky = (lit.surfaces.object_id < 0) * lit.scene.ambient_lx / math.pi
-        arriving = self._from_lamps(lit, lights, commands) + lit.base + sky
+        sky = (lit.surfaces.object_id < 0).cpu() * lit.scene.ambient_lx / math.pi
+        arriving = (self._from_lamps(lit, lights, commands) + lit.base).cpu() + sky
         seen = arriving * self._colours(lit)
         return seen * (weight * arriving).sum(0) / (weight * seen).sum(0).clamp(min=1e-12)
 
@@ -121,7 +137,7 @@ class Onlooker:
 
     def _colours(self, lit: LitScene) -> Tensor:
         """Colours `[3, H, W]` of the surfaces at luminance 1."""
-        surfaces, placed = lit.surfaces, {each.object_id: each for each in (*lit.triangles.placed, self._own_car)}
+        surfaces, placed = lit.surfaces.to(torch.device("cpu")), {each.object_id: each for each in (*lit.triangles.placed, self._own_car)}
         table, first = [WHITE, GRASS, SKY], torch.zeros(max(placed) + 2, dtype=torch.int64)
         for number, each in placed.items():
             if each.body.parts:
@@ -144,9 +160,11 @@ class Onlooker:
     @cached_property
     def _course(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """x and y in m and heading in rad of the drive, by ascending x."""
-        poses = [self.world.motion.at(t).T_world_ground for t in np.arange(0, self.duration_s, COURSE_S)]
-        x, y = torch.stack([each[:2, 3] for each in poses]).T.numpy()
-        heading = np.array([torch.atan2(each[1, 0], each[0, 0]) for each in poses])
+        poses = [self.world.motion.at(t).T_world_ground for t in np.arange(0, self.duration_s + COURSE_S, COURSE_S)]
+        ahead = torch.tensor([[AHEAD_M, 0.0, 0.0]], dtype=torch.float64).T
+        way = torch.stack([*(each[:2, 3] for each in poses), transform(poses[-1], ahead)[:2, 0]])  # straight on after its end
+        (x, y), last = way.T.numpy(), [poses[-1]]
+        heading = np.array([torch.atan2(each[1, 0], each[0, 0]) for each in poses + last])
         order = np.argsort(x, kind="stable")
         return x[order], y[order], heading[order]
 

@@ -21,7 +21,7 @@ from luxloop.loop.recording.remedies import SHADOW
 from luxloop.loop.recording.summary import Summary
 from luxloop.loop.report.courses import write_courses
 from luxloop.loop.report.highlights import Highlights
-from luxloop.loop.report.onlooker import Onlooker
+from luxloop.loop.report.onlooker import Onlooker, mean_lights
 from luxloop.loop.report.picture import MARKS_RGB, WALL_DEG, camera_luminance, marks, readable, rectangle, wall_light, white_of
 from luxloop.loop.report.run_table import processing
 from luxloop.loop.report.style import SHARES, columns, drawing, field, no_frame, page_title, rows
@@ -66,7 +66,7 @@ def write_report(file: Path, simulation: Simulation, highlights: Highlights, tab
         own = of_one(table, each.name), summary["functions"][each.name]
         parts.append((HIGH_IN, partial(draw_symbol, simulation=simulation, history=each, table=own[0], summary=own[1])))
     facts = _facts(simulation, summary, manifest)
-    parts.append((LINE_IN * (facts.count("\n") + 2), lambda figure: _write(figure, facts)))
+    parts.append((LINE_IN * (facts.count("\n") + 2), lambda figure: _write_facts(figure, facts)))
     heights = [height for height, _ in parts]
     with drawing(file, (WIDE_IN, sum(heights)), dpi=DPI) as figure:
         for place, (_, draw) in zip(rows(figure, *heights), parts, strict=True):
@@ -128,22 +128,19 @@ def _facts(simulation: Simulation, summary: Summary, manifest: Manifest) -> str:
     return "\n".join(fill(each, FACTS) for each in paragraphs)
 
 
-def _write(figure: SubFigure, text: str) -> None:
+def _write_facts(figure: SubFigure, text: str) -> None:
     figure.text(0.012, 1.0, text, fontsize=8, va="top", linespacing=1.3)
 
 
 def _views(figure: SubFigure, simulation: Simulation, highlights: Highlights) -> None:
     """Draw what the driver sees while the functions are at work, and the camera's pictures below."""
-    busiest, moments = highlights.busiest, highlights.moments
+    (then, busiest), moments = highlights.busiest, highlights.moments
     white = float(max(white_of(result, simulation) for result in moments))
     small = (moments[0], busiest) if busiest.detections is not None and busiest is not moments[0] else moments[:SMALL]
     grid = figure.add_gridspec(2, len(small), height_ratios=(HIGH[len(small)], 1))
     axes = figure.add_subplot(grid[0, :])
-    view = driver()
-    onlooker = Onlooker(
-        simulation.world, view, busiest.time_s, simulation.scenario.surface.lane_width_m, simulation.scenario.video.age_years
-    )
-    light, commands, exposure_ev = busiest.lights, busiest.now.commands, simulation.scenario.video.exposure_ev
+    onlooker, light = Onlooker.of(then, driver()), mean_lights(busiest, then.scenario.shares)
+    commands, exposure_ev = busiest.now.commands, then.scenario.video.exposure_ev
     if exposure_ev is None:
         exposure_ev = exposure_of(onlooker.light(busiest.time_s, light, commands))
     axes.imshow(onlooker.picture(busiest.time_s, light, commands, exposure_ev))

@@ -173,12 +173,12 @@ def grey(image: Image) -> Image:
 
 def driver(width_px: int = 1280) -> View:
     """The view of a driver who sits on the left: 40 deg wide, 16 : 9, the horizon above the middle."""
-    return pinhole((-1.5, 0.36, 1.2), 4.0, 0.0, 40.0, width_px)
+    return _pinhole((-1.5, 0.36, 1.2), 4.0, 0.0, 40.0, width_px)
 
 
 def beside(width_px: int = 960) -> View:
     """The view from behind, above and to the left of the car, for beams in fog: 56 deg wide, 16 : 9."""
-    return pinhole((-10.5, 6.5, 3.4), 8.0, -27.0, 56.0, width_px)
+    return _pinhole((-10.5, 6.5, 3.4), 8.0, -27.0, 56.0, width_px)
 
 
 def birdseye(cell_m: float = BIRDSEYE_CELL_M, x_m: tuple[float, float] = BIRDSEYE_X_M) -> View:
@@ -193,7 +193,7 @@ def birdseye(cell_m: float = BIRDSEYE_CELL_M, x_m: tuple[float, float] = BIRDSEY
 
 def chase(width_px: int = 1280) -> View:
     """The view from behind and above the car: 46 deg wide, 16 : 9."""
-    return pinhole((-14.5, 0.0, 3.8), 8.0, 0.0, 46.0, width_px)
+    return _pinhole((-14.5, 0.0, 3.8), 8.0, 0.0, 46.0, width_px)
 
 
 def above(width_px: int = 1280) -> View:
@@ -201,7 +201,7 @@ def above(width_px: int = 1280) -> View:
     return birdseye((BIRDSEYE_Y_M[1] - BIRDSEYE_Y_M[0]) / round(width_px * 9 / 16), (BIRDSEYE_X_M[0], BIRDSEYE_X_M[0] + 71.1))
 
 
-def pinhole(position_m: tuple[float, float, float], pitch_deg: float, yaw_deg: float, hfov_deg: float, width: int) -> View:
+def _pinhole(position_m: tuple[float, float, float], pitch_deg: float, yaw_deg: float, hfov_deg: float, width: int) -> View:
     """A view from a place in m, nose down by the pitch, 16 : 9."""
     height = round(width * 9 / 16)
     focal = width / 2 / math.tan(math.radians(hfov_deg) / 2)

@@ -283,8 +283,11 @@ def _detection(scenario: Scenario) -> Iterator[str]:
 
 def _probes(scenario: "Scenario") -> Iterator[str]:
     """Frames of probes that nothing has."""
-    frames = ["world", "car", *(each.name for each in scenario.all_objects)]
+    objects = [each.name for each in scenario.all_objects]
+    frames = ["world", "car", *objects]
     for name, probe in scenario.probes.items():
+        if probe.frame in ("world", "car") and probe.frame in objects:
+            yield f"probes.{name}.frame: {probe.frame!r} is also the name of an object; give the object another name"
         if probe.frame not in frames:
             yield f"probes.{name}.frame: there is no object {probe.frame!r}; {did_you_mean(probe.frame, frames)}"
 

@@ -65,7 +65,7 @@ OF_TRUTH = {
 
 def of_truth(column: str) -> bool:
     """Whether a column is missing or empty without the truth."""
-    return column.startswith("objects.") or column.rpartition(".")[2] in OF_TRUTH
+    return column.startswith(("objects.", "probes.")) or column.rpartition(".")[2] in OF_TRUTH
 
 
 def held_in(table: pa.Table) -> list[str]:

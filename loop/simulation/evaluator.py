@@ -191,7 +191,7 @@ class Evaluator:
         )
 
     def _probes(self, result: StepResult) -> Mapping[str, float]:
-        if self.world is None:
+        if self.world is None or not self.scenario.probes:
             return {}
         lights = [illuminance_at(self.scenario.probes, self.world, each.start_s, each.lights, each.commands) for each in result.exposures]
         shares = self.scenario.shares

@@ -88,7 +88,7 @@ class LitScene:
     @property
     def is_rendered(self) -> bool:
         """Whether the surfaces have been rendered."""
-        return "rendered" in vars(self)
+        return not {"rendered", "transports"}.isdisjoint(vars(self))
 
     def begins_with(self, part: Part) -> bool:
         """Whether no other part than this has been read: of a standing scene, later ones are cut from the whole, which lasts."""

@@ -7,7 +7,7 @@ import pytest
 import torch
 from hypothesis import given
 
-from luxloop.perception.eye import LATITUDE, WHITE, develop, exposure_of, smooth, veil
+from luxloop.perception.eye import SATURATION_CD_M2, WHITE, develop, exposure_of, smooth, veil
 from luxloop.world.frames import R_ISO_OPENCV, View, pose
 from luxloop.world.headlight.matrix import LUMINANCE
 
@@ -35,7 +35,7 @@ def test_veil_is_that_of_the_cie_and_light_adds_up(age, theta_deg, expected):
 
 
 def test_curve_has_the_values_of_its_formula_and_saturates_at_white():
-    shown = develop(grey(0.0, LATITUDE, LATITUDE * WHITE, 100.0), 0.0)[:, 0]
+    shown = develop(grey(0.0, SATURATION_CD_M2, SATURATION_CD_M2 * WHITE, 100.0), 0.0)[:, 0]
     half = 1.055 * ((1 + WHITE**-2) / 2) ** (1 / 2.4) - 0.055
     assert torch.allclose(shown, torch.tensor([0.0, half, 1.0, 1.0]).expand(3, -1), atol=1e-6)
     assert torch.allclose(develop(grey(0.3), 1.0), develop(grey(0.15), 0.0)), "a step of EV is a factor of 2"
@@ -55,7 +55,7 @@ def test_a_lamp_too_bright_for_the_display_keeps_its_hue():
 def test_exposure_of_even_light_shows_it_below_white():
     light = grey(*[0.02] * 50)
     ev = exposure_of(light)
-    assert ev == pytest.approx(math.log2(0.02 / LATITUDE)) and 0.5 < float(develop(light, ev)[0, 0, 0]) < 0.9
+    assert ev == pytest.approx(math.log2(0.02 / SATURATION_CD_M2)) and 0.5 < float(develop(light, ev)[0, 0, 0]) < 0.9
     assert math.isfinite(exposure_of(grey(0.0)))
 
 

@@ -103,5 +103,6 @@ def test_probes_of_the_command_line_become_columns(lux, tmp_path):
     assert lux(*arguments, "--probe", "eye=20,0.5,1.1", "--probe", "edge=18,-1.7,0.25")[0] == 0
     table = pd.read_parquet(tmp_path / "runs" / "small" / "trajectory.parquet")
     assert {"probes.eye.lx", "probes.edge.lx"} <= set(table.columns) and table["probes.edge.lx"].notna().all()
-    code, _, error = lux(*arguments, "--probe", "eye=20,0.5")
-    assert code == 2 and "eye=20,0.5:" in error
+    for wrong in ("eye=20,0.5", "a.b=1,2,3", "=1,2,3", "eye=1,2,three"):
+        code, _, error = lux(*arguments, "--probe", wrong)
+        assert code == 2 and f"--probe {wrong}:" in error

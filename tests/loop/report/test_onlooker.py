@@ -9,7 +9,7 @@ import torch
 
 from luxloop import LuxloopError, Simulation, load, run
 from luxloop.loop.report.film import Film
-from luxloop.loop.report.onlooker import Onlooker
+from luxloop.loop.report.onlooker import Onlooker, mean_lights
 from luxloop.loop.report.views import chase, driver
 from luxloop.world.headlight.matrix import LUMINANCE
 from luxloop.world.lamps.archive import save
@@ -69,7 +69,7 @@ def test_lamps_that_shine_into_the_eye_veil_the_picture(night):
 def test_only_who_is_beside_the_car_sees_it_and_it_throws_no_shadow(night):
     simulation, result = night
     without, seen = (
-        (WEIGHT * looker(simulation, chase(240), beside=beside).light(0.0, result.lights, ())).sum(0).numpy() for beside in (False, True)
+        (WEIGHT * looker(simulation, chase(240), with_car=beside).light(0.0, result.lights, ())).sum(0).numpy() for beside in (False, True)
     )
     changed = ~np.isclose(seen, without, rtol=1e-4, atol=1e-7)
     v, u = np.nonzero(changed)
@@ -120,3 +120,28 @@ def test_film_of_people_needs_the_true_world(tmp_path, night):
     with pytest.raises(LuxloopError, match="does not know the truth"):
         Film(tmp_path / "video.mp4", blind)
     assert not [*tmp_path.iterdir()]
+
+
+def test_an_eye_sees_the_mean_of_a_steps_exposures():
+    simulation = Simulation.prepare(load("chevrons", camera=CAMERA, steps=1))
+    result = simulation.evaluate(simulation.step(simulation.start())[1])
+    on, off = (each.lights[0].u for each in result.exposures)
+    (mean, *_) = mean_lights(result, simulation.scenario.shares)
+    assert float(on.sum()) > 0 and torch.allclose(mean, (on + off) / 2), "its symbol is off for half of the time"
+
+
+def test_the_lane_goes_on_straight_where_the_drive_ends():
+    simulation = Simulation.prepare(load("bend_light", camera=CAMERA))
+    onlooker = Onlooker.of(simulation, driver(240))
+    x, y, heading = onlooker._course
+    T = simulation.world.motion.at(simulation.scenario.steps / simulation.scenario.rate_hz).T_world_ground
+    assert abs(float(heading[-1])) > 0.1, "it ends in the bend"
+    ahead = (T @ torch.tensor([60.0, 0.0, 0.0, 1.0], dtype=torch.float64))[:2]
+    assert np.interp(float(ahead[0]), x, y) == pytest.approx(float(ahead[1]), abs=0.2)  # places 0.1 s apart, in a bend
+    assert len(Onlooker(simulation.world, driver(240), 0.0, 3.5)._course[0]) == 2, "a step without duration has a course as well"
+
+
+@pytest.mark.parametrize("name", ["observer_symbol", "gfhb"])
+def test_a_run_of_one_step_has_a_report(name, tmp_path):
+    run(load(name, camera=CAMERA, steps=1), tmp_path / "run", video=False)
+    assert (tmp_path / "run" / "report.png").is_file()

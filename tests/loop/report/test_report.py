@@ -202,3 +202,11 @@ def test_main_picture_is_from_amid_the_time_in_which_most_is_on():
     assert busiest_step(validate(given | {"functions": lanes}, "three")) == 24, "at 0.8 s of 2 s"
     assert busiest_step(validate(given | {"functions": {"all_along": lanes["all_along"]}}, "one")) is None
     assert busiest_step(validate(given | {"functions": {"late": lanes["late"]}}, "one")) == 39, "at 1.3 s"
+
+
+def test_moments_begin_with_the_first_whichever_is_busiest(small_simulation, small_results):
+    highlights = Highlights(small_simulation)
+    for result in small_results:
+        highlights.add(result)
+    assert highlights.moments[0] is small_results[0] and highlights.moments[-1] is small_results[-1]
+    assert highlights.busiest[0] is small_simulation and highlights.busiest[1] in small_results

@@ -7,6 +7,7 @@ import torch
 
 from luxloop import LuxloopError, Simulation, load, run
 from luxloop.loop.recording.record import row, schema
+from luxloop.loop.simulation.check import check_truth
 
 CAMERA = {"width_px": 160, "height_px": 90, "oversampling": 1}
 BOARD = {"kind": "box", "name": "board", "size_m": [0.2, 6.0, 3.0], "albedo": 0.3, "track": [{"position_m": [40.0, 0.0, 0.0]}]}
@@ -94,3 +95,14 @@ def test_probes_are_columns_that_checks_hold(tmp_path):
 def test_a_probe_nowhere_is_refused(probe, told):
     with pytest.raises(LuxloopError, match=rf"probes\.eye.*{told}"):
         load("gfhb", objects=[BOARD], functions={}, probes={"eye": probe})
+
+
+def test_a_probe_of_an_object_named_like_a_frame_is_refused():
+    with pytest.raises(LuxloopError, match=r"probes\.eye\.frame: 'car' .*another name"):
+        load("gfhb", objects=[BOARD | {"name": "car"}], functions={}, probes={"eye": {"position_m": [1, 2, 3], "frame": "car"}})
+
+
+def test_a_plant_that_does_not_know_the_truth_refuses_probes():
+    scenario = load("gfhb", objects=[], functions={}, checks={}, probes={"eye": {"position_m": [20, 0, 1]}})
+    with pytest.raises(LuxloopError, match="probes: needs the truth"):
+        check_truth(scenario, known=False)
