@@ -209,11 +209,12 @@ class Recorder:
             write_json(self.directory / EDITS, [each.model_dump(mode="json") for each in self.tally.edits])
 
     def _write_trajectory(self) -> None:
+        table = self.table()  # the first one imports pandas, which is not the time of a write
         start = time.thread_time()  # not the wall clock, by which a busy machine would make writes rarer
         self._write_edits()
         for each in self._kept:
             each.write()
-        write_table(self.directory / TRAJECTORY, self.table())
+        write_table(self.directory / TRAJECTORY, table)
         self._next_write_s = time.perf_counter() + REST * (time.thread_time() - start)
 
 
