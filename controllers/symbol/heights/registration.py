@@ -35,7 +35,8 @@ FREE_M = 0.01  # tolerance of heights above a free light path
 class Heights:
     """Height estimate at the nodes: mean `[n]` m, information of each `[n]` 1/m^2, and base `[n]` m, the mean before any observation.
 
-    shared: `[n]` 1/m, of an error that all heights share: the information matrix is `diag(information) - shared shared'`.
+    shared: `[n]` 1/m, of an error that all heights share, such as the pitch's: the information matrix is
+    `diag(information) - shared shared'`. It counts until the next observation, whose own is taken as independent.
     """
 
     mean: Tensor
