@@ -40,7 +40,6 @@ from luxloop.loop.report import terminal as tables
 from luxloop.loop.scenario.shipped import TEMPLATE, copy_text, examples, original
 from luxloop.world.errors import LuxloopError, did_you_mean
 from luxloop.world.files import installed_version
-from luxloop.world.params import PLAIN
 
 DEBUG = "--debug"
 INSTALL = "--install-completion"
@@ -324,6 +323,8 @@ def run(
 
 def _probe(given: str) -> str:
     """The override for a probe. Raises LuxloopError unless it is NAME=X,Y,Z."""
+    from luxloop.world.params import PLAIN  # imports pydantic
+
     name, _, place = given.partition("=")
     if not re.fullmatch(PLAIN, name) or not re.fullmatch(r"[-+.\deE]+(,[-+.\deE]+){2}", place):
         raise LuxloopError(
