@@ -45,10 +45,9 @@ def develop(light: Tensor, exposure_ev: float) -> Tensor:
 
     Luminance goes through the curve `x (1 + x/w²) / (1 + x)` (Reinhard et al. 2002), x being 1 at the exposure's saturation; hue is kept.
     """
-    weight = light.new_tensor(LUMINANCE)
-    luminance = (weight[:, None, None] * light).sum(0)
-    x = luminance / (SATURATION_CD_M2 * 2**exposure_ev)
-    shown = light * ((1 + x / WHITE**2) / (1 + x) / (SATURATION_CD_M2 * 2**exposure_ev))
+    exposed = light / (SATURATION_CD_M2 * 2**exposure_ev)
+    x = (light.new_tensor(LUMINANCE)[:, None, None] * exposed).sum(0)
+    shown = exposed * ((1 + x / WHITE**2) / (1 + x))
     linear = (shown / shown.amax(0).clamp(min=1)).clamp(min=0)  # what is too bright for the display keeps its hue
     return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp(min=1e-9) ** (1 / 2.4) - 0.055)
 

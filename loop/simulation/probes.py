@@ -39,7 +39,7 @@ def illuminance_at(
             cos = 1.0 if normal is None else max(float(normal @ away[:, 0] / distance), 0.0)
             near = TOLERANCE_M if probe.frame in ("world", "car") else INSIDE_M
             if cos and bool(sees(lit.triangles, T_world_headlight[:3, 3], place, near)):
-                texture = module.textures.light_texture(light.u).double().cpu()
+                texture = module.textures.light_texture(light.u).cpu()
                 ray = T_world_headlight[:3, :3].T @ -away
                 found[name] += command.intensity * float(module.headlight.intensity(texture, ray)) * cos / float(distance) ** 2
     return found

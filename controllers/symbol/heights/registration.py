@@ -131,7 +131,7 @@ class Registration:
             moved, common = solve(matrix, torch.stack([force, known.shared], 1)).unbind(1)
             moved = moved + common * (known.shared @ moved / (1 - known.shared @ common))
             nodes = nodes + moved.clamp(-LARGEST_STEP_M, LARGEST_STEP_M)
-        # Heights are told at the nodes alone, so each gets the sum of its row of J' W J.
+        # Information is kept at the nodes alone, so each gets the sum of its row of J' W J.
         return Heights(nodes, forward_model.on_nodes(weighted * slope), known.base, torch.zeros_like(nodes))
 
     def _blur(self, image: Tensor, blur: Blur) -> Tensor:
