@@ -54,7 +54,9 @@ class HeadlightParams(Params):
     lamps: tuple[Literal["left", "right"], ...] = Field(("left", "right"), min_length=1, description="lamps that shine")
     modules: tuple[str, ...] | None = Field(None, min_length=1, description="modules that shine; left out: all")
     swivel_deg: float = Field(0.0, ge=-30, le=30, description="rest position of modules that swivel, to the left")
-    level_deg: float = Field(0.0, ge=-10, le=10, description="rest position of modules that are levelled, down")
+    level_deg: float = Field(
+        0.0, ge=-10, le=10, description="rest position, down: of modules within their range of levelling, else of the lamp"
+    )
     standby_w: NotNegative = Field(5.0, description="electrical power of a dark lamp: electronics and fan")
     efficacy_lm_w: float = Field(40.0, gt=0, le=1000, description="luminous flux of a lamp per electrical power of its light sources")
 

@@ -41,9 +41,8 @@ def _of_side(side: Side, params: HeadlightParams, device: torch.device) -> Seque
     with locate("headlight.modules"):
         modules = lamp.modules if params.modules is None else tuple(lamp.module(name) for name in params.modules)
     names = ", ".join(module.name for module in modules)
-    for movement in ("swivel_deg", "level_deg"):
-        if getattr(params, movement) and not any(any(getattr(module, movement)) for module in modules):
-            raise LuxloopError(f"headlight.{movement}: none of the modules ({names}) can turn in this way; leave it out or name others")
+    if params.swivel_deg and not any(any(module.swivel_deg) for module in modules):
+        raise LuxloopError(f"headlight.swivel_deg: none of the modules ({names}) can swivel; leave it out or name others")
     peak_cd = max(module.headlight.peak_cd for module in modules)
     if not peak_cd > 0:
         raise LuxloopError(f"headlight.modules: {names} give no light; name others")

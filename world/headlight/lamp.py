@@ -65,13 +65,14 @@ class Module:
     def turn(self, swivel_deg: float, level_deg: float) -> "Module":
         """The module with the turned pose as its rest pose, and with the remaining ranges.
 
-        A turn about an axis that the module cannot move has no effect. Raises as `pose`.
+        A module without a range of swivel does not swivel; one without a range of levelling is tilted with the lamp. Raises as `pose`.
         """
         swivel, level = (
             angle if any(movement) else 0.0 for angle, movement in ((swivel_deg, self.swivel_deg), (level_deg, self.level_deg))
         )
         swivels, levels = ((low - angle, high - angle) for angle, (low, high) in ((swivel, self.swivel_deg), (level, self.level_deg)))
-        return replace(self, T_lamp_module=self.pose(swivel, level), swivel_deg=swivels, level_deg=levels)
+        tilt = pose_from_degrees((0.0, 0.0, 0.0), pitch_deg=level_deg - level)
+        return replace(self, T_lamp_module=tilt @ self.pose(swivel, level), swivel_deg=swivels, level_deg=levels)
 
     def mirror(self) -> "Module":
         """The module of the other side's lamp."""
@@ -97,7 +98,7 @@ class Lamp:
         raise LuxloopError(f"lamp {self.name!r} has no module {name!r}; it has {', '.join(module.name for module in self.modules)}")
 
     def turn(self, swivel_deg: float, level_deg: float) -> "Lamp":
-        """The lamp with all movable modules turned. Raises LuxloopError beyond a module's range."""
+        """The lamp turned: all modules levelled, and swivelled where they can. Raises LuxloopError beyond a module's range."""
         return replace(self, modules=tuple(module.turn(swivel_deg, level_deg) for module in self.modules))
 
     @property

@@ -2,14 +2,19 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
-from luxloop import Lamp, Module, Scenario, Simulation, idealised, load, pose_from_degrees
+from luxloop import Lamp, Module, Scenario, Simulation, idealised, load, load_lamp, pose_from_degrees
 from luxloop.loop.simulation.build_lamps import mount
 from luxloop.loop.simulation.build_scene import build_motion, build_scene
 from luxloop.loop.simulation.part_cache import PartCache
 from luxloop.world.lamps import archive
+from luxloop.world.lamps.presets import NAMES
+from luxloop.world.photometry import lm63
+from luxloop.world.photometry.distribution import Distribution
+from luxloop.world.regulation.checking import inflection
 from tests.loop.conftest import scenario_of, simulation_of, toml
 from tests.refusal import refusal
 
@@ -63,9 +68,31 @@ def test_modules_shine_mirrored_turned_and_as_bright_as_asked(scenario):
     (alone,) = mount(with_headlight(scenario, modules=("narrow",)).headlight)
     assert alone.name == "left narrow" and [each.name for each in mount(scenario.headlight)] == ["left wide", "left narrow"]
     wide, narrow = mount(with_headlight(scenario, swivel_deg=10.0, level_deg=1.5).headlight)
-    assert wide.T_world_module[:3, :3].equal(torch.eye(3, dtype=torch.float64)), "it cannot turn"
+    assert wide.T_world_module[:3, :3].equal(pose_from_degrees((0, 0, 0), pitch_deg=1.5)[:3, :3]), "it cannot turn, and tilts with the lamp"
     expected = pose_from_degrees((0, 0, 0), pitch_deg=0.5)[:3, :3] @ pose_from_degrees((0, 0, 0), 0, 1.5, 10)[:3, :3]
     torch.testing.assert_close(narrow.T_world_module[:3, :3], expected, rtol=0, atol=1e-12)
+
+
+LEVEL_DEG = 1.0
+
+
+@pytest.mark.parametrize("name", [*NAMES, "measured.ies"])
+def test_levelling_moves_the_cut_off_of_every_lamp_down_by_its_angle(name, tmp_path):
+    if name == "measured.ies":
+        v = np.linspace(-5, 3, 161)
+        candela = np.hanning(21)[:, None] * np.hanning(161) * 10 ** (4 - 2 / (1 + np.exp(-(v + 0.57) / 0.2)))
+        name = str(tmp_path / name)
+        lm63.write(Path(name), Distribution("A", v, np.linspace(-10, 10, 21), candela))
+    lamp = load_lamp(name)
+    beam = lamp.beam(lamp.default_beam)
+
+    def cut_off_deg(level_deg: float) -> float:
+        scenario = load("flat", [f"headlight.model={name}", "headlight.lamps=['left']", f"headlight.level_deg={level_deg}"])
+        modules = tuple(Module(each.name, each.headlight, each.T_world_module) for each in mount(scenario.headlight))
+        return inflection(Lamp("levelled", modules).lit(beam), -2.5, -0.57 - level_deg)[0]
+
+    # Scanned in steps of 0.05 deg.
+    assert cut_off_deg(LEVEL_DEG) == pytest.approx(cut_off_deg(0.0) - LEVEL_DEG, abs=0.051)
 
 
 @pytest.mark.parametrize(
@@ -74,7 +101,8 @@ def test_modules_shine_mirrored_turned_and_as_bright_as_asked(scenario):
         ({"modules": ("narow",)}, "no module 'narow'; it has wide, narrow"),
         ({"swivel_deg": 15.0}, "left lamp, module 'narrow': swivel of 15 deg.*-5 to 12 deg$"),
         ({"swivel_deg": 10.0, "lamps": ("left", "right")}, "right lamp, module 'narrow': swivel of 10 deg.*-12 to 5 deg; .*mirror image"),
-        (toml("{ modules = ['wide'], level_deg = 1.0 }"), "headlight.level_deg.*wide.*turn"),
+        (toml("{ modules = ['wide'], swivel_deg = 1.0 }"), "headlight.swivel_deg.*wide.*swivel"),
+        ({"level_deg": 2.5}, "left lamp, module 'narrow': level of 2.5 deg.*-1 to 2 deg"),
         ({"model": "ssl-hdd"}, "'ssl-hdd'.*'ssl-hd'"),
     ],
 )

@@ -81,8 +81,9 @@ def test_a_turned_lamp_has_what_can_be_turned_where_its_pose_says(headlight):
     mount = pose_from_degrees((0.0, 0.1, 0.0), pitch_deg=0.5)
     fixed, free = Module("fixed", headlight, mount), Module("free", headlight, mount, swivel_deg=(-5, 5))
     one, other = Lamp("lamp", (fixed, free)).turn(4.0, 1.0).modules
-    assert one.T_lamp_module.equal(mount)
-    assert other.T_lamp_module.equal(free.pose(4.0)), "it swivels and cannot be levelled"
+    tilt = pose_from_degrees((0.0, 0.0, 0.0), pitch_deg=1.0)
+    assert one.T_lamp_module.equal(tilt @ mount), "it cannot move, and tilts with the lamp"
+    assert other.T_lamp_module.equal(tilt @ free.pose(4.0)), "it swivels"
     with refusal("'free': swivel of 4"):
         Lamp("lamp", (other,)).modules[0].pose(4.0)
     with refusal("'free': swivel of 6"):
