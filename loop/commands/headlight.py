@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from cyclopts import App
 
-from luxloop.loop.commands.options import DIFFERS, AllowCode
+from luxloop.loop.commands.options import DIFFERS, AllowCode, Points
 from luxloop.loop.report import terminal as tables
 
 if TYPE_CHECKING:
@@ -217,6 +217,83 @@ def export(
     candela = export_beam(exported, name, out, step_deg).candela
     angles = f"{candela.shape[0]} x {candela.shape[1]} angles"
     print(f"{out} written: {exported.name}, beam {name}, {angles}, peak {candela.max():,.0f} cd")
+
+
+@headlight_app.command
+def measure(
+    lamp: str,
+    /,
+    *,
+    at: Points = None,
+    wall: float | None = None,
+    road: Points = None,
+    beam: str | None = None,
+    side: Literal["both", "left", "right"] | None = None,
+    traffic: Literal["left", "right"] = "right",
+    step_deg: float = 0.5,
+    out: Path | None = None,
+) -> None:
+    """Measure a beam: cd and lx by direction, over a wall, or lx at places on a flat road.
+
+    Parameters
+    ----------
+    lamp
+        Preset, lamp file, description or photometric file, whose own table is measured.
+    at
+        Direction H,V in deg from the lamp, to the right and up, or a line H,V:H,V:COUNT: cd, and lx of an upright wall 25 m ahead.
+    wall
+        Distance in m of an upright wall, measured over the lamp's field.
+    road
+        Place X,Y or X,Y,Z in m, ahead of the lamps, to the left of their middle, and up from the road, or a line X,Y:X,Y:COUNT: lx of a
+        horizontal surface, and of a vertical one that faces the car. The lamps are 1.2 m apart and 0.75 m high; nothing casts shadows.
+    beam
+        Name of the beam, full or off; by default low, or full where the lamp has no low beam.
+    side
+        Lamps that are on; by default left for directions and walls, which have one lamp, and both for the road.
+    traffic
+        Side of the road that the traffic drives on; for the left, default beams are fitted to it.
+    step_deg
+        Step of both angles over a wall in deg.
+    out
+        File for all values (.csv); by default a table is printed.
+    """
+    from luxloop.loop.commands import headlight_tables
+    from luxloop.loop.report import measure as measuring
+    from luxloop.world.errors import LuxloopError
+    from luxloop.world.lamps.description import for_traffic, load_lamp, measured_lamp
+
+    if sum(bool(each) for each in (at, wall is not None, road)) != 1:
+        raise LuxloopError("measure: give one of --at H,V, --wall METRES and --road X,Y; --at and --road may be repeated")
+    if side == "both" and not road:
+        raise LuxloopError("--side both: a direction or a wall is measured from one lamp; give left or right, or measure the --road")
+    if wall is not None and not 0 < wall < math.inf:
+        raise LuxloopError(f"--wall {wall:g}: give a distance greater than 0 m")
+    if wall is not None and out is None:
+        raise LuxloopError(f"--wall {wall:g}: has too many values for a table; give --out FILE.csv")
+    if out is not None and out.suffix.lower() != ".csv":
+        raise LuxloopError(f"--out {out}: gives no format of values; end it in .csv")
+    sides: Sequence[Literal["left", "right"]] = (
+        ("left", "right") if side == "both" or (road and side is None) else ("right",) if side == "right" else ("left",)
+    )
+    photometric = Path(lamp).suffix.lower() in PHOTOMETRIC
+    lamps: dict[str, Lamp] = {
+        each: for_traffic(measured_lamp(Path(lamp), each) if photometric else load_lamp(lamp, each), traffic) for each in sides
+    }
+    first = lamps[sides[0]]
+    name = beam or first.default_beam
+    first.require_beam(name)
+    if road:
+        values = measuring.on_road(lamps, name, measuring.points(road, "XYZ", measuring.LIMITS_M, "--road"))
+    elif at:
+        values = measuring.towards(first, name, measuring.points(at, "HV", measuring.LIMITS_DEG, "--at"))
+    else:
+        values = measuring.towards(first, name, measuring.grid(first, step_deg), wall or measuring.SCREEN_M)
+    title = f"{first.name}, beam {name}, {' and '.join(sides)} lamp{'s' * (len(sides) > 1)}"
+    if out is None:
+        tables.show(headlight_tables.measured(values, title))
+    else:
+        measuring.write_csv(out, values)
+        print(f"{out} written: {title}, {tables.plural(len(next(iter(values.values()))), 'point')}")
 
 
 @headlight_app.command

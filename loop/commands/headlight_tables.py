@@ -8,6 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from luxloop.loop.report.facts import borders_deg, flux_lm, peak
+from luxloop.loop.report.measure import Values
 from luxloop.loop.report.terminal import facts, number, plain
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import Lamp
@@ -150,6 +151,12 @@ def results(found: Sequence[Result], title: str) -> Table:
     caption = "passes" if passes(found) else f"{failed} of {len(found)} requirements fail"
     columns = ("test point", "worst at h, v in deg", "value", "limit", "margin", "verdict")
     return plain(columns, rows, title=escape(title), caption=caption)
+
+
+def measured(values: Values, title: str) -> Table:
+    """Measured values, a row for each point."""
+    rows = ([f"{value:,.5g}" for value in row] for row in zip(*(column.tolist() for column in values.values()), strict=True))
+    return plain([escape(name.replace("_", " ")) for name in values], rows, "r", title=escape(title))
 
 
 def _mount(T: torch.Tensor) -> str:

@@ -16,6 +16,7 @@ OK, DIFFERS, FAILED, UNREAD, WRONG, INTERRUPTED = 0, 1, 1, 1, 2, 130
 
 Keys = Annotated[list[str] | None, Parameter(consume_multiple=True, negative=())]
 AllowCode = Annotated[bool, Parameter(negative=(), help="Run Python modules that files name; for files and modules that you trust.")]
+Points = Annotated[list[str] | None, Parameter(allow_leading_hyphen=True, negative=())]  # their numbers may be negative
 Flag = Annotated[bool, Parameter(negative=())]
 Json = Flag
 

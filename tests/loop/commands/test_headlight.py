@@ -62,6 +62,15 @@ def test_a_photometric_file_is_checked_by_its_own_table(lux):
         assert lux(line)[2].count("'END'") == 1
 
 
+def test_values_are_measured_into_a_table_or_a_file(lux):
+    code, out, _ = lux("measure hd84 --beam high --at 0,0 --at -2.5,-0.86")
+    assert code == 0 and "hd84, beam high, left lamp" in out and "-2.5" in out and out.count("\n") == 4
+    assert "left and right lamps" in lux("measure hd84 --road 50,-1.75:100,-1.75:3")[1]
+    code, out, _ = lux("measure hd84 --wall 25 --step-deg 1 --out wall.csv")
+    rows = Path("wall.csv").read_text().splitlines()
+    assert code == 0 and "wall.csv written" in out and rows[0] == "h_deg,v_deg,y_m,z_m,cd,lx" and f"{len(rows) - 1} points" in out
+
+
 def test_a_failing_beam_is_told_by_the_exit_code_and_the_worst_point(lux):
     code, out, _ = lux("check hd84 --beam full --rule r112-passing-b")
     assert code == 1
@@ -114,6 +123,20 @@ IMPOSSIBLE = {  # what is said of a command line, in parts
     "export hd84 --out low.csv": "low.csv | .ies or .ldt",
     "export hd84 --out no/where/low.ies": "no/where/low.ies | cannot be written",
     "build nothing.toml": "nothing.toml | cannot be read",
+    "measure hd84": "--at H,V | --wall | --road X,Y",
+    "measure hd84 --at 0,0 --road 50,0": "give one of",
+    "measure hd84 --at 1": "--at 1: | H,V",
+    "measure hd84 --at 0,0:1,1:one": "--at 0,0:1,1:one | COUNT",
+    "measure hd84 --at 95,0": "--at 95,0 | ±89",
+    "measure hd84 --road 1,2,3,4": "--road 1,2,3,4 | X,Y,Z",
+    "measure hd84 --road nan,0": "--road nan,0 | X within ±1000",
+    "measure hd84 --wall 25": "--wall 25 | --out FILE.csv",
+    "measure hd84 --wall 0 --out a.csv": "--wall 0 | greater than 0",
+    "measure hd84 --wall 25 --out a.csv --step-deg 0.001": "--step-deg 0.001 | larger step",
+    "measure hd84 --at 0,0 --side both": "--side both | left or right",
+    "measure hd84 --at 0,0 --out a.txt": "--out a.txt | .csv",
+    "measure hd84 --at 0,0 --out no/where/a.csv": "no/where/a.csv | cannot be written",
+    "measure hd84 --at 0,0 --beam lo": "no beam 'lo'",
     f"info {'a' * 300}.npz": "does not exist",
 }
 
