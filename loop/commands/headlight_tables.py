@@ -18,7 +18,7 @@ from luxloop.world.photometry import Photometry
 from luxloop.world.regulation import Result, aim_beam, check_beam, passes, rule_set, sets
 from luxloop.world.regulation.tables import Traffic
 
-VERDICTS = {"pass": "green", "fail": "red", "not applicable": "dim"}
+VERDICTS = {"pass": "green", "fail": "red", "not applicable": "dim", "unknown": "yellow"}
 KINDS = {
     "A": "A (headlamps: h round the vertical axis)",
     "B": "B (floodlights: v round the transverse axis)",
@@ -143,12 +143,15 @@ def results(found: Sequence[Result], title: str) -> Table:
     rows = []
     for each in found:
         where = "" if each.where is None else f"{each.where[0]:+.2f}, {each.where[1]:+.2f}"
-        margin = "" if each.verdict == "not applicable" else f"{each.margin:+.0%}"
-        note = f"\n[dim]{escape(each.note)}[/]" if each.note and each.verdict == "not applicable" else ""
+        decided = each.verdict in ("pass", "fail")
+        margin = f"{each.margin:+.0%}" if decided else ""
+        note = f"\n[dim]{escape(each.note)}[/]" if each.note and not decided else ""
         verdict = f"[{VERDICTS[each.verdict]}]{each.verdict}[/]"
-        rows.append((f"[bold]{escape(each.id)}[/]{note}", where, f"{each.value:,.5g}", each.limits, margin, verdict))
+        rows.append((f"[bold]{escape(each.id)}[/]{note}", where, number(each.value, ",.5g"), each.limits, margin, verdict))
     failed = sum(each.verdict == "fail" for each in found)
-    caption = "passes" if passes(found) else f"{failed} of {len(found)} requirements fail"
+    unknown = sum(each.verdict == "unknown" for each in found)
+    caption = f"{failed} of {len(found)} requirements fail" if failed else "passes" if passes(found) else "nothing could be checked"
+    caption += f"; {unknown} of {len(found)} requirements are unknown" if unknown else ""
     columns = ("test point", "worst at h, v in deg", "value", "limit", "margin", "verdict")
     return plain(columns, rows, title=escape(title), caption=caption)
 
@@ -173,8 +176,8 @@ def check(
 ) -> tuple[str, tuple[Result, ...]]:
     """Title and results of a check of a beam against a rule. aimed: whether the lamp is aimed first, as the regulation requires.
 
-    beam: by default the rule's kind of beam, low or high, or full for a lamp without it; without a rule the lamp's default beam. rule: by
-    default the beam's in RULE_OF_BEAM. Raises LuxloopError for an unknown beam or rule, and for a beam without a rule.
+    beam: by default the rule's kind of beam, low or high, or full for a lamp without it and for projections; without a rule the lamp's
+    default beam. rule: by default the beam's in RULE_OF_BEAM. Raises LuxloopError for an unknown beam or rule, and a beam without a rule.
     """
     rules = None if rule is None else rule_set(rule)
     if beam is not None:
@@ -183,7 +186,7 @@ def check(
         why = f"{lamp.name} has no low beam, whose rule would be the default" if beam is None else f"no rule is known for beam {beam!r}"
         raise LuxloopError(f"{why}; name a rule with --rule, `luxloop headlight rules` lists them")
     if beam is None:
-        wanted = "low" if rules is None or rules.beam == "low" else "high"
+        wanted = "low" if rules is None else {"low": "low", "projection": "full"}.get(rules.beam, "high")
         beam = wanted if wanted in lamp.beams else "full"
     intensity = lamp.lit(lamp.beam(beam))
     rules = rules or rule_set(RULE_OF_BEAM[beam])
@@ -199,7 +202,7 @@ def compliance(lamp: Lamp) -> list[str]:
     lines = []
     for beam in lamp.beams:
         if beam in RULE_OF_BEAM:
-            asked = [each for each in check(lamp, beam)[1] if each.verdict != "not applicable"]
+            asked = [each for each in check(lamp, beam)[1] if each.verdict in ("pass", "fail")]
             passed = sum(each.verdict == "pass" for each in asked)
             lines.append(f"{beam}: keeps {'all' if passed == len(asked) else passed} of {len(asked)} of {RULE_OF_BEAM[beam]}")
     return lines

@@ -245,7 +245,7 @@ class Run:
             if module.side == side:
                 modules.append(Module(module.name, module.headlight, T_body_world @ matrix(posed["T_world_module"])))
                 lights.append(u.to(module.flux))
-        verdicts = {"pass": True, "fail": False, "not applicable": None}
+        verdicts = {"pass": True, "fail": False}
         return [
             {
                 "id": each.id,
@@ -253,7 +253,7 @@ class Run:
                 "value": each.value,
                 "unit": UNITS.get(each.kind, "cd"),
                 "limit": each.limits,
-                "passed": verdicts[each.verdict],
+                "passed": verdicts.get(each.verdict),
             }
             for each in check_beam(Lamp(side, tuple(modules)).lit(lights), rule)
         ]

@@ -132,7 +132,11 @@ def choices() -> dict[str, Any]:
     from luxloop.world.regulation.tables import sets
 
     of = {kind: [{key: each[key] for key in ("name", "description")} for each in listing(kind)] for kind in ("scenarios", "controllers")}
-    names = {"rules": list(sets()), "symbols": list(shipped_files("symbols")), "lamps": list(SUMMARIES)}
+    names = {
+        "rules": [name for name, each in sets().items() if each.beam != "projection"],
+        "symbols": list(shipped_files("symbols")),
+        "lamps": list(SUMMARIES),
+    }
     return {**of, **names, "recordings": recordings()}
 
 

@@ -173,7 +173,7 @@ def samples_of(requirement: Requirement, step_deg: float) -> Tensor:
         return zone(requirement.where or IMAX_FIELD, step_deg)
     if requirement.kind == "flux":
         return cells(requirement.where, FLUX_STEP_DEG)
-    return torch.tensor(requirement.where, dtype=torch.float64).T
+    return torch.tensor(requirement.where, dtype=torch.float64).view(-1, 2).T
 
 
 def _finer(requirement: Requirement, points: Tensor, values: Tensor, step_deg: float) -> Tensor:
@@ -186,6 +186,8 @@ def _finer(requirement: Requirement, points: Tensor, values: Tensor, step_deg: f
 
 def _value(requirement: Requirement, points: Tensor, values: Tensor) -> tuple[float, Point | None]:
     """The decisive value and its point: nearest to a limit or farthest beyond it; for Imax the largest."""
+    if requirement.kind == "unknown":
+        return math.nan, None
     if requirement.kind == "sum":
         return float(values.sum()), None
     if requirement.kind == "flux":
@@ -213,6 +215,8 @@ def _result(requirement: Requirement, found: dict[str, tuple[float, Point | None
     if requirement.only_if:
         notes.append(f"only if {requirement.only_if}")
     verdict: Verdict = "pass" if (least or 0) <= value <= (math.inf if most is None else most) else "fail"
+    if requirement.kind == "unknown":
+        verdict = "unknown"
     if requirement.only_if and not conditional:
         verdict = "not applicable"
     return Result(requirement.id, requirement.kind, where, value, least, most, verdict, rules.confidence, "; ".join(filter(None, notes)))

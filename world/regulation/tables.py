@@ -21,7 +21,9 @@ class Requirement(Params):
     """Limits of the luminous intensity at points `(h, v)` in deg, h to the right, v up."""
 
     id: str
-    kind: Literal["point", "segment", "zone", "sum", "imax", "flux"]
+    kind: Literal["point", "segment", "zone", "sum", "imax", "flux", "unknown"] = Field(
+        description="unknown: a requirement exists, but not its numbers, or photometry of a lamp cannot decide it"
+    )
     where: tuple[Point, ...] = Field(
         (), description="a point, the ends of a segment, the corners of a zone, points to add up, or two corners of a box"
     )
@@ -59,7 +61,7 @@ class RuleSet(Params):
     also: str = ""
     title: str
     table: str
-    beam: Literal["low", "high", "adaptive"]
+    beam: Literal["low", "high", "adaptive", "projection"]
     confidence: str
     note: str = ""
     cutoff: tuple[Cutoff, ...] = Field((), description="alternative scans; the sharper cut-off applies")
@@ -86,7 +88,7 @@ def rule_set(set_id: str) -> RuleSet:
 
 
 Intensity = Callable[[Tensor], Tensor]  # directions [3, N] of the lamp frame -> cd [N]
-Verdict = Literal["pass", "fail", "not applicable"]
+Verdict = Literal["pass", "fail", "not applicable", "unknown"]
 Traffic = Literal["left", "right"]
 
 
@@ -94,8 +96,9 @@ Traffic = Literal["left", "right"]
 class Result:
     """One requirement's outcome. where: `(h, v)` in deg of the worst point, None for sums and fluxes.
 
-    value, min, max: cd; lm for kind `flux`, decades in 0.1 deg for `sharpness`, deg for `straightness`. margin: what is left to the
-    nearer limit as a share of it, negative where it is missed. note: the table's, with the condition if there is one.
+    value, min, max: cd, NaN and None if unknown; lm for kind `flux`, decades in 0.1 deg for `sharpness`, deg for `straightness`.
+    margin: what is left to the nearer limit as a share of it, negative where it is missed. note: the table's, with the condition if there
+    is one.
     """
 
     id: str
@@ -115,6 +118,8 @@ class Result:
     @property
     def limits(self) -> str:
         """The limits in words, such as `5000 to 37000`."""
+        if self.min is None and self.max is None:
+            return "–"
         if self.min is not None and self.max is not None:
             return f"{self.min:.5g} to {self.max:.5g}"
         return f"at least {self.min:.5g}" if self.min is not None else f"at most {self.max:.5g}"
@@ -128,9 +133,11 @@ def margin(value: float, least: float | None, most: float | None) -> float:
 
 
 def passes(results: Sequence[Result]) -> bool:
-    return not any(each.verdict == "fail" for each in results)
+    """Whether a requirement passes and none fails."""
+    verdicts = {each.verdict for each in results}
+    return "pass" in verdicts and "fail" not in verdicts
 
 
 def least_margin(results: Sequence[Result]) -> float:
     """The margin of the requirement that is nearest to its limit, or farthest beyond it."""
-    return min((each.margin for each in results if each.verdict != "not applicable"), default=math.inf)
+    return min((each.margin for each in results if each.verdict in ("pass", "fail")), default=math.inf)

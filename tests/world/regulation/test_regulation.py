@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop.world.regulation import Result, aim_beam, check_beam, passes, rule_set
+from luxloop.world.regulation import Result, aim_beam, check_beam, least_margin, passes, rule_set
 from luxloop.world.regulation.checking import inflection
 from tests.refusal import refusal
 
@@ -84,7 +84,7 @@ def test_an_unknown_rule_names_its_neighbours():
     with refusal(r"'r149-passing-x'.*did you mean 'r149-passing"):
         rule_set("r149-passing-x")
     with refusal("known are fmvss108-lb1m, "):
-        rule_set("gb4599")
+        rule_set("jis-d-5500")
 
 
 def test_ids_may_be_typed_loosely_and_r112_is_r149_of_the_00_series():
@@ -183,3 +183,17 @@ def test_a_beam_made_of_formulas_passes_class_b_of_r112_and_fails_class_c_where_
     assert passes(check_beam(low_beam(), "r112-passing-b"))
     failed = {each.id for each in check_beam(low_beam(), "r149-passing-c") if each.verdict == "fail"}
     assert failed == {"75R", "Segment 10 and below"}  # less light close below the cut-off than class C wants, too much in the foreground
+
+
+def test_a_projections_unknown_limits_are_unknown_and_pass_nothing():
+    results = check_beam(uniform(1.0), "r149-projection")
+    assert {each.verdict for each in results} == {"unknown"} and all(math.isnan(each.value) for each in results)
+    assert not passes(results) and least_margin(results) == math.inf
+
+
+def test_a_projections_known_limit_holds_in_its_zone_alone():
+    for cd, inside, verdict in ((215_000, True, "pass"), (215_001, True, "fail"), (300_000, False, "pass")):
+        beam = field(lambda h, v, cd=cd, inside=inside: torch.where((v < -0.99) == inside, float(cd), 0.0).double())
+        results = rows(check_beam(beam, "gb4599-projection"))
+        assert results["Projection zone"].verdict == verdict and results["Place"].verdict == "not applicable"
+        assert passes(tuple(results.values())) == (verdict == "pass")
