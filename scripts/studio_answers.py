@@ -150,6 +150,6 @@ ANSWERS: Mapping[str, Mapping[str, Any]] = {  # by type of the message, without 
     "beam": {"run": int, "rule": str, "side": str, "points": ["BeamPoint"]},
     # The pixels that light a point.
     "place": {"point_m": Vector, "modules": ["ModulePixels"]},
-    # Deviation of the light from the wanted illuminances.
-    "wish": {"on": Literal["road", "wall"], "wanted_lx": float, "rmse_lx": float, "worst_lx": float, "pixels": int},
+    # Mean of the wanted illuminances and of the light there; error of the whole field that the pixels light.
+    "wish": {"on": Literal["road", "wall"], "wanted_lx": float, "given_lx": float, "rmse_lx": float, "worst_lx": float, "pixels": int},
 }

@@ -12,16 +12,15 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
-from luxloop.controllers.pixels.jpo_part import PixelGoal
-from luxloop.controllers.pixels.jpo_solvers import least_squares
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import inverse, transform
 from luxloop.world.headlight import Headlight
-from luxloop.world.spmv import Csr, multiply
+from luxloop.world.spmv import Csr, multiply, solve
 from luxloop.world.texels import TexelGrid, bilinear
 
 ITERATIONS = 150
-KEPT = 0.1  # weight of cells without a target, which keep their light; 1 with a target
+BLOCK = 0.003  # size, in tangents, of the blocks of directions without a target, each of which keeps its light
+BESIDE_M = 25.0  # distance at which directions beside the raster count, facing the lamp
 MUCH = 0.5  # least share of the brightest pixel's intensity towards a point for a pixel to be listed
 FEW = 64  # texels of a cell below which 3 x 3 points are used
 WHOLE = 0.8  # share of a cell's area covered by texels below which 3 x 3 points are used, as at the border of the field
@@ -42,6 +41,11 @@ class Raster:
     rows: int
     cols: int
 
+    @property
+    def cell_area(self) -> float:
+        """Area of a cell in m^2."""
+        return (self.x_max - self.x_min) * (self.y_max - self.y_min) / (self.rows * self.cols)
+
     def points(self, n: int = 1) -> Tensor:
         """n x n points of each cell, `[3, n^2, rows * cols]`: its centre for 1."""
         shares = (torch.arange(n, dtype=torch.float64) + 0.5) / n
@@ -59,43 +63,76 @@ class Raster:
 
 
 @dataclass(frozen=True, eq=False)
+class FittedModule:
+    """A module with its pose `[4, 4]` in the frame of the plane, and its present and largest utilisation, `[n_p]` each."""
+
+    headlight: Headlight
+    T_plane_headlight: Tensor
+    u: Tensor
+    limit: Tensor
+
+
+@dataclass(frozen=True, eq=False)
 class PlaneLight:
-    """Result. u: utilisation `[n_p]` of each module. chosen: `[n_p]` bool of each module, the fitted pixels. lx: `[cells]`, illuminance."""
+    """Result. u: utilisation `[n_p]` of each module. chosen: `[n_p]` bool of each module, the fitted pixels. lx: `[cells]`, illuminance.
+
+    error_lx: deviation of the field, cells and blocks of directions, from target or present light. weight: by area, 0 where no fitted pixel
+    shines and in cells without a target.
+    """
 
     u: tuple[Tensor, ...]
     chosen: tuple[Tensor, ...]
     lx: Tensor
+    error_lx: Tensor
+    weight: Tensor
+
+    @property
+    def rmse_lx(self) -> float:
+        """Root of the mean squared error over the area of the field."""
+        return float((self.weight * self.error_lx.square()).sum().div(self.weight.sum()).sqrt())
+
+    @property
+    def worst_lx(self) -> float:
+        """Largest error of the field."""
+        return float((self.error_lx.abs() * (self.weight > 0)).max())
 
 
-def fit_plane(
-    lamps: Sequence[tuple[Headlight, Tensor, Tensor]], raster: Raster, wanted_lx: Tensor, where: Tensor, iterations: int = ITERATIONS
-) -> PlaneLight:
-    """Utilisations with the least squared error of the illuminance of the cells, in 255 steps.
+def fit_plane(lamps: Sequence[FittedModule], raster: Raster, wanted_lx: Tensor, where: Tensor, iterations: int = ITERATIONS) -> PlaneLight:
+    """Utilisations with the least squared error of the whole field, in 255 steps, within the limits of the pixels.
 
-    lamps: each module with its pose `[4, 4]` in the frame of the plane and its present utilisation `[n_p]`; pixels that light no cell with
-    a target keep it. wanted_lx: target `[cells]` in lx. where: `[cells]` bool, cells with a target. Raises LuxloopError if no pixel lights
-    these cells.
+    wanted_lx: target `[cells]` in lx. where: `[cells]` bool, cells with a target; the rest of the field keeps its light. Pixels that light
+    no cell with a target keep their utilisation. Raises LuxloopError if no pixel lights these cells.
     """
-    matrices, chosen = [], []
-    for light, T_plane_headlight, _ in lamps:
-        on_plane = _on_plane(light, T_plane_headlight, raster)
-        A = light.matrix.to_scipy()
-        matrices.append(on_plane @ A)
+    planes, beside, weights, chosen = [], [], [where.float()], []
+    for each in lamps:
+        on_plane, rays = _on_plane(each.headlight, each.T_plane_headlight, raster)
+        A = each.headlight.matrix.to_scipy()
         there = (on_plane[where.numpy()] > 0).astype(np.float32).sum(0) > 0
-        reach = A[np.flatnonzero(there)].max(0).toarray()[0] if there.any() else np.zeros(light.n_pixels)
+        reach = A[np.flatnonzero(there)].max(0).toarray()[0] if there.any() else np.zeros(each.headlight.n_pixels)
         most = A.max(0).toarray()[0]
         chosen.append(torch.from_numpy((reach >= OWN * most) & (most > 0)))
+        elsewhere, area = rays.blocks(each.headlight, where)
+        planes.append(on_plane @ A)
+        beside.append(elsewhere @ A)
+        weights.append(area / raster.cell_area)
     free = torch.cat(chosen)
     if not free.any():
         raise LuxloopError("wish: no pixel lights the place where light is wanted; paint it within the field of a lamp")
-    joint = Csr.from_scipy(sp.hstack(matrices, "csr"))
-    now = torch.cat([u.float().cpu() for _, _, u in lamps])
-    target = torch.where(where, wanted_lx, multiply(joint, now)).float()
-    weight = torch.where(where, 1.0, KEPT)
-    u = least_squares(joint, PixelGoal(target, weight, now, free), iterations)
-    u = torch.where(free, (255 * u).round() / 255, now)
-    sizes = [light.n_pixels for light, _, _ in lamps]
-    return PlaneLight(u.split(sizes), tuple(chosen), multiply(joint, u))
+    joint = sp.vstack([sp.hstack(planes), sp.block_diag(beside)], "csr")
+    now, limit = (torch.cat([getattr(each, name).float().cpu() for each in lamps]) for name in ("u", "limit"))
+    before = multiply(Csr.from_scipy(joint), now)
+    target = before.clone()
+    target[: len(where)] = torch.where(where, wanted_lx, target[: len(where)]).float()
+    part = Csr.from_scipy(joint[:, free.numpy()].tocsr())
+    fixed, weight = before - multiply(part, now[free]), torch.cat(weights).float()
+    u, most = now.clone(), (255 * limit[free]).floor() / 255
+    u[free] = solve(part, target - fixed, weight=weight.sqrt(), upper=most, start=now[free].minimum(most), iterations=iterations)
+    u[free] = ((255 * u[free]).round() / 255).minimum(most)
+    field = multiply(part, u[free]) + fixed
+    lit = multiply(part, torch.ones_like(most)) > 0
+    return PlaneLight(
+        u.split([each.headlight.n_pixels for each in lamps]), tuple(chosen), field[: len(where)], field - target, weight * lit
+    )
 
 
 def lighting(headlight: Headlight, T_world_headlight: Tensor, point: Tensor) -> tuple[Tensor, Tensor]:
@@ -118,8 +155,27 @@ def lighting(headlight: Headlight, T_world_headlight: Tensor, point: Tensor) -> 
     return pixels[own], cd[own]
 
 
-def _on_plane(grid: TexelGrid, T_plane_headlight: Tensor, raster: Raster) -> sp.csr_matrix:
-    """Mean illuminance of the cells by the texels, `[cells, texels]` in lx per cd."""
+@dataclass(frozen=True, eq=False)
+class _Rays:
+    """What the rays of all texels hit. cell: `[texels]`, -1 beside the raster. factor: `[texels]` lx per cd. area: `[texels]` m^2."""
+
+    cell: Tensor
+    factor: Tensor
+    area: Tensor
+
+    def blocks(self, grid: TexelGrid, where: Tensor) -> tuple[sp.csr_matrix, Tensor]:
+        """Mean illuminance of blocks of directions that hit no cell of `where`, `[blocks, texels]` in lx per cd, and their areas in m^2."""
+        sizes = ((grid.top - grid.bottom) / grid.rows, (grid.left - grid.right) / grid.cols)
+        tall, wide = (max(1, round(BLOCK / each)) for each in sizes)
+        texel = torch.nonzero(~(where[self.cell] & (self.cell >= 0)))[:, 0]
+        _, block = torch.unique(texel // grid.cols // tall * grid.cols + texel % grid.cols // wide, return_inverse=True)
+        area = torch.bincount(block, self.area[texel])
+        share = self.area[texel] / area[block] * self.factor[texel]
+        return sp.csr_matrix((share.numpy(), (block.numpy(), texel.numpy())), (len(area), grid.n_texels)), area
+
+
+def _on_plane(grid: TexelGrid, T_plane_headlight: Tensor, raster: Raster) -> tuple[sp.csr_matrix, _Rays]:
+    """Mean illuminance of the cells by the texels, `[cells, texels]` in lx per cd, and the texels' rays."""
     T = T_plane_headlight.double().cpu()
     y, z = grid.tangents(torch.float64, torch.device("cpu"))
     z, y = (each.flatten() for each in torch.meshgrid(z, y, indexing="ij"))
@@ -127,21 +183,23 @@ def _on_plane(grid: TexelGrid, T_plane_headlight: Tensor, raster: Raster) -> sp.
     height, long = T[2, 3], ray.norm(dim=0)
     way = height / -ray[2]  # ray lengths to the plane
     cell = torch.where((ray[2] < 0) & (height > 0), raster.cells(T[0, 3] + way * ray[0], T[1, 3] + way * ray[1]), -1)
+    inside, tangents = cell >= 0, (grid.left - grid.right) * (grid.top - grid.bottom) / grid.n_texels
+    rays = _Rays(
+        cell,
+        torch.where(inside, height / (way * long) ** 3, (BESIDE_M * long) ** -2.0),  # cos / d^2
+        tangents * torch.where(inside, way**3 / height, BESIDE_M**2),
+    )
     n_cells = raster.rows * raster.cols
-    area = (grid.left - grid.right) * (grid.top - grid.bottom) / grid.n_texels * way**3 / height  # of texels on the plane, m^2
-    inside, cell_area = cell >= 0, (raster.x_max - raster.x_min) * (raster.y_max - raster.y_min) / n_cells
-    number, covered = (torch.bincount(cell[inside], each, minlength=n_cells) for each in (None, area[inside]))
-    few = (number < FEW) | (covered < WHOLE * cell_area)
+    number, covered = (torch.bincount(cell[inside], each, minlength=n_cells) for each in (None, rays.area[inside]))
+    few = (number < FEW) | (covered < WHOLE * raster.cell_area)
     hit = torch.nonzero(inside & ~few[cell])[:, 0]
-    distance = (way * long)[hit]
-    factor = height / distance**3  # cos / d^2
-    share = area[hit] / covered[cell[hit]]
+    share = rays.area[hit] / covered[cell[hit]]
     points = raster.points(POINTS)[:, :, few]  # [3, POINTS^2, few cells]
     local = transform(inverse(T), points.flatten(1))
     texel, weight = bilinear(grid, *grid.texel_of(local[1] / local[0], local[2] / local[0]))
     away = (points.flatten(1) - T[:3, 3:]).norm(dim=0)
     weight = weight * (local[0] > 0) * max(float(height), 0.0) / away.clamp(min=NEAREST_M) ** 3 / POINTS**2
     rows = torch.cat([cell[hit], torch.nonzero(few)[:, 0].repeat(4 * POINTS**2)])
-    values = torch.cat([share * factor, weight.flatten()])
+    values = torch.cat([share * rays.factor[hit], weight.flatten()])
     columns = torch.cat([hit, texel.flatten()])
-    return sp.csr_matrix((values.numpy(), (rows.numpy(), columns.numpy())), (n_cells, grid.n_texels))
+    return sp.csr_matrix((values.numpy(), (rows.numpy(), columns.numpy())), (n_cells, grid.n_texels)), rays

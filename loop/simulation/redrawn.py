@@ -1,10 +1,14 @@
-"""Light of a step with other primitives: symbols in open loop, without covering functions, or without painted pictures."""
+"""Light of a step with other primitives: symbols in open loop, without covering functions, of masks alone, or without painted pictures."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import torch
+from torch import Tensor
+
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.situation import LAYERS, MASK
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
@@ -27,6 +31,17 @@ def lights_without_paint(simulation: Simulation, result: StepResult) -> tuple[Ut
     lighting = simulation.planner.lighting.model_copy(update={"painted": ()})
     bare = replace(simulation, planner=replace(simulation.planner, lighting=lighting))
     return bare.lights_of(result, _primitives(simulation, result, {}))
+
+
+def mask_limits(simulation: Simulation, result: StepResult) -> tuple[Tensor, ...]:
+    """Largest utilisation `[n_p]` of each module that masks and their soft zones leave in a step."""
+    plan = simulation.planner.compose(result.now, result.planning.functions, _primitives(simulation, result, {}))
+    limits = []
+    for module in simulation.lamps.aim(result.now):
+        full, drawn = torch.ones_like(module.flux), plan.for_module(module.name)
+        masks = None if drawn is None else drawn.select(drawn.priority >= MASK * LAYERS)
+        limits.append(module.controller.over(full).utilisation(masks.to(full.device), module.T_world_module).u if masks else full)
+    return tuple(limits)
 
 
 def covering(simulation: Simulation, result: StepResult, name: str) -> tuple[str, ...]:

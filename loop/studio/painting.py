@@ -8,8 +8,9 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.functions.base_beams import PaintedParams, Picture
-from luxloop.controllers.pixels.jpo_plane import Raster, fit_plane, lighting
+from luxloop.controllers.pixels.jpo_plane import FittedModule, Raster, fit_plane, lighting
 from luxloop.loop.report.picture import WALL_M
+from luxloop.loop.simulation.redrawn import mask_limits
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studio.messages import Paint, Place, Wish
 from luxloop.loop.studio.runs import Run, matrix
@@ -75,17 +76,19 @@ def wish(run: Run, message: Wish, arrays: Arrays) -> Answer:
     raster = Raster(x_min, x_max, y_min, y_max, *lx.shape)
     head, lights, poses = run.snapshots[-1].head, run.snapshots[-1].lights, _poses(run)
     T_plane_world = inverse(matrix(head["T_world_ground"]) if message.on == "road" else matrix(head["T_world_body"]) @ T_BODY_WALL)
-    lamps = [(each.headlight, T_plane_world @ poses[k], lights[k]) for k, each in enumerate(run.simulation.modules)]
+    limits = mask_limits(*run.shown) if message.over else tuple(map(torch.ones_like, lights))
+    posed = [T_plane_world @ each for each in poses]
+    modules = [FittedModule(each.headlight, *rest) for each, *rest in zip(run.simulation.modules, posed, lights, limits, strict=True)]
     there = torch.from_numpy(where).flatten()
     goal = torch.from_numpy(np.where(where, lx, 0).astype(np.float32)).flatten()
-    found = fit_plane(lamps, raster, goal, there)
-    off = (found.lx - goal)[there]
+    found = fit_plane(modules, raster, goal, there)
     answer = {
         "type": "wish",
         "on": message.on,
         "wanted_lx": float(goal[there].mean()),
-        "rmse_lx": float(off.square().mean().sqrt()),
-        "worst_lx": float(off.abs().max()),
+        "given_lx": float(found.lx[there].mean()),
+        "rmse_lx": found.rmse_lx,
+        "worst_lx": found.worst_lx,
         "pixels": int(sum(each.sum() for each in found.chosen)),
     }
     layers = {

@@ -91,6 +91,11 @@ class Run:
         """Whether all steps of the scenario are done."""
         return len(self.snapshots) >= self.simulation.scenario.steps
 
+    @property
+    def shown(self) -> tuple[Simulation, Evaluation]:
+        """The last result, or its preview with pending edits, and its simulation."""
+        return self._next or self._made
+
     def step(self, wanted: Collection[View]) -> Evaluation:
         """Do a step. wanted: contents that clients show."""
         if self._below is not None or self._next is not None:

@@ -247,6 +247,7 @@ export interface WishMessage {
   type: "wish";
   on: "road" | "wall";
   wanted_lx: number;
+  given_lx: number;
   rmse_lx: number;
   worst_lx: number;
   pixels: number;

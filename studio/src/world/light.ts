@@ -178,8 +178,8 @@ export function worldLight(
   store.on(["light"], ({ light }) => {
     if (!light) return;
     if (light.type === "wish") {
-      const { wanted_lx, rmse_lx, worst_lx, pixels } = light;
-      told.textContent = `${brief(wanted_lx)} lx wanted; off by ${brief(rmse_lx)} lx (RMSE), worst cell ${brief(worst_lx)} lx; ${pixels} pixels`;
+      const { wanted_lx, given_lx, rmse_lx, worst_lx, pixels } = light;
+      told.textContent = `${brief(wanted_lx)} lx wanted, ${brief(given_lx)} lx given; whole field off by ${brief(rmse_lx)} lx (RMSE), at most ${brief(worst_lx)} lx; ${pixels} pixels`;
       return;
     }
     turns.answered();
