@@ -42,7 +42,9 @@ def _type(of: Any) -> str:
     """A type of TypeScript."""
     if isinstance(of, list | tuple | dict):  # of tables in PARTS
         each = [_type(one) for one in (of.values() if isinstance(of, dict) else of)]
-        return f"{each[0]}[]" if isinstance(of, list) else f"Record<string, {each[0]}>" if isinstance(of, dict) else " | ".join(each)
+        if isinstance(of, list):
+            return f"({each[0]})[]" if " | " in each[0] else f"{each[0]}[]"
+        return f"Record<string, {each[0]}>" if isinstance(of, dict) else " | ".join(each)
     if of is None or of in PARTS:
         return of or "null"
     kind, args = get_origin(of), get_args(of)

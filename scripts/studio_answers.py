@@ -74,6 +74,21 @@ PARTS: Mapping[str, Mapping[str, Any]] = {  # tables within answers; ["Name"] is
     "Symbol": {"pose": tuple[float, float, float, float], "loss": str, "target": list[Vector]},
     # A requirement and the light's value; passed: null if not applicable.
     "BeamPoint": {"id": str, "where": tuple[float, float] | None, "value": float, "unit": str, "limit": str, "passed": bool | None},
+    # Light at a point. surface: name of the object, "road", or "wall". normal: in the world. lx: on the surface; vertical_lx: on an upright
+    # plane that faces the car; both by the lamps alone. cd_m2: by all light, towards the eye; null on the wall.
+    "Reading": {
+        "surface": str,
+        "point_m": Vector,
+        "ground_m": Vector,
+        "normal": Vector,
+        "h_deg": float,
+        "v_deg": float,
+        "distance_m": float,
+        "cd": float,
+        "lx": float,
+        "vertical_lx": float,
+        "cd_m2": float | None,
+    },
     # Pixels of a module, and their total intensity.
     "ModulePixels": {"module": int, "pixels": list[int], "cd": float},
 }
@@ -148,6 +163,8 @@ ANSWERS: Mapping[str, Mapping[str, Any]] = {  # by type of the message, without 
     "summary": {"run": int, "summary": dict[str, Any]},
     # Result of a regulation's requirements.
     "beam": {"run": int, "rule": str, "side": str, "points": ["BeamPoint"]},
+    # The light where rays of sight end; null where they meet nothing.
+    "meter": {"run": int, "step": int, "readings": [("Reading", None)]},
     # The pixels that light a point.
     "place": {"point_m": Vector, "modules": ["ModulePixels"]},
     # Mean of the wanted illuminances and of the light there; error of the whole field that the pixels light.

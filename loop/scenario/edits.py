@@ -16,7 +16,7 @@ Acts = Literal["step", "prepared", "restart"]
 # when a change of a key acts, by the longest known beginning of the key
 ACTS: Final[dict[str, Acts]] = {
     "": "prepared",
-    **dict.fromkeys(("name", "description", "steps", "judge_every", "checks", "conditions", "lighting", "functions"), "step"),
+    **dict.fromkeys(("name", "description", "steps", "judge_every", "checks", "conditions", "lighting", "functions", "probes"), "step"),
     **dict.fromkeys(("schema_version", "seed", "rate_hz", "off_share", "plant", "renderer", "pixel_controller"), "restart"),
     **dict.fromkeys(("headlight.model", "headlight.lamps", "headlight.modules"), "restart"),
     **dict.fromkeys(("camera.width_px", "camera.height_px", "camera.oversampling", "camera.bits"), "restart"),

@@ -21,6 +21,7 @@ Text = Annotated[str, Field(max_length=4000)]
 Override = Annotated[str, Field(max_length=100_000)]  # may hold a whole list
 Overrides = Annotated[tuple[Override, ...], Field(max_length=100)]
 Number = Annotated[int, Field(ge=0, lt=2**31)]
+Point = tuple[Metres, Metres, Metres]
 
 
 class FromClient(Params):
@@ -73,6 +74,22 @@ class AskBeam(FromClient):
     rule: Text
     side: Literal["left", "right"] = "left"
     step: Number | None = None
+
+
+class AskMeter(FromClient):
+    """Request the light where rays of sight meet the scene, or a wall 25 m ahead, in a step, null for the newest.
+
+    eye_m, through_m: of the world; a ray goes from the eye through each of up to 10,000 points. side: the lamp from which angles and
+    luminous intensities are counted, null for the middle of both and their sum.
+    """
+
+    type: Literal["meter"]
+    run: Number = 0
+    step: Number | None = None
+    on: Literal["scene", "wall"] = "scene"
+    eye_m: Point
+    through_m: tuple[Point, ...] = Field(max_length=10_000)
+    side: Literal["left", "right"] | None = None
 
 
 class Acknowledge(FromClient):
@@ -159,7 +176,7 @@ class Place(FromClient):
 
     type: Literal["place"]
     stroke: Number = 0
-    point_m: tuple[Metres, Metres, Metres]
+    point_m: Point
     value: int | None = Field(None, ge=0, le=255)
     over: bool = True
 
@@ -179,7 +196,7 @@ class Wish(FromClient):
 
 Message = (
     Hello
-    | (Want | Scrub | AskSummary | AskBeam | Acknowledge)
+    | (Want | Scrub | AskSummary | AskBeam | AskMeter | Acknowledge)
     | (Button | Speed | Open | Set | Record | Compare | Drive | Paint | Place | Wish)
 )
 ARRAYS: Mapping[str, Mapping[str, tuple[str, ...]]] = {  # dtypes of messages with a body, by type and name

@@ -2,7 +2,7 @@
 
 import gc
 import time
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -25,10 +25,12 @@ from luxloop.loop.scenario.driving import repeat
 from luxloop.loop.scenario.edits import ACTS, Edit, differences, replaces
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.evaluator import Evaluation
+from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.loop.simulation.protocol import close_plant
 from luxloop.loop.simulation.redrawn import lights_without_paint
 from luxloop.loop.simulation.result import SimulationState
 from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.simulation.truth import LampModule
 from luxloop.loop.studio.meshes import Meshes
 from luxloop.loop.studio.messages import PICTURES, VIEWS, View
 from luxloop.loop.studio.playback import Playback
@@ -39,6 +41,7 @@ from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import output_folder
 from luxloop.world.frames import inverse
 from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.light import emitters
 from luxloop.world.regulation import check_beam
 from luxloop.world.scene.triangles import NOTHING
 
@@ -78,7 +81,8 @@ class Run:
         self._state = simulation.start()
         self._reached = self._state, simulation.scenario  # after the last step, before edits
         self._kept, self._forgotten = 0, 0
-        self._bodies = NOTHING
+        self.bodies = NOTHING  # of the newest snapshot
+        self._sources: tuple[Snapshot, Mapping[int, emitters.Source]] | None = None
         self._below: Sequence[Utilisation] | None = None  # light of the last step without paint
         self._ahead = False  # whether edits follow the last step
         self._next: tuple[Simulation, Evaluation] | None = None  # preview of the next step
@@ -183,8 +187,8 @@ class Run:
         return replace(result, lights=tuple(lights))
 
     def _take_snapshot(self, simulation: Simulation, result: Evaluation, before: Snapshot | None, wanted: Collection[View]) -> Snapshot:
-        self._bodies = bodies_at(simulation, result.time_s, self._bodies)
-        return snapshot(simulation, result, self.meshes.assign(self._bodies.placed), before, wanted)
+        self.bodies = bodies_at(simulation, result.time_s, self.bodies)
+        return snapshot(simulation, result, self.meshes.assign(self.bodies.placed), before, wanted)
 
     def prepare_edit(self, scenario: Scenario) -> tuple[Simulation, SimulationState]:
         """Simulation and state for another scenario. Raises LuxloopError."""
@@ -236,14 +240,41 @@ class Run:
         """Outcomes by name of the checks without comparison light."""
         return Checks(self.simulation.scenario.checks, None).outcomes(table)
 
+    @property
+    def shining(self) -> tuple[LampModule, ...]:
+        """The modules as they truly shine, which may be worn, unlike those of `simulation`."""
+        world = self.simulation.truth
+        return lamp_modules(self.simulation.modules) if world is None else world.modules
+
+    def lit_snapshot(self, step: int | None) -> Snapshot:
+        """Snapshot of a step, the newest for None. Raises LuxloopError if its light is no longer stored."""
+        shown = self.snapshots[-1 if step is None else min(step, len(self.snapshots) - 1)]
+        if not shown.lights:
+            raise LuxloopError(f"step {step}: its light is no longer kept; start anew to see it")
+        return shown
+
+    def sources(self, shown: Snapshot) -> Mapping[int, emitters.Source]:
+        """The modules that shine in a snapshot, by number; cached for the last one."""
+        if self._sources is None or self._sources[0] is not shown:
+            lit = zip(self.shining, shown.lights, shown.head["modules"], strict=True)
+            found = {
+                number: emitters.Source(
+                    module.headlight,
+                    (module.measured or module.headlight).light_texture(u.to(module.headlight.matrix.values)).cpu(),
+                    matrix(posed["T_world_module"]),
+                )
+                for number, (module, u, posed) in enumerate(lit)
+                if bool(u.any())
+            }
+            self._sources = shown, found
+        return self._sources[1]
+
     def beam(self, rule: str, side: str, step: int | None) -> list[dict[str, Any]]:
         """Result of a regulation's requirements for a side's light in a step, the newest for None, as the protocol has it.
 
         Raises LuxloopError for an unknown rule, and if the light of that step is no longer stored.
         """
-        shown = self.snapshots[-1 if step is None else min(step, len(self.snapshots) - 1)]
-        if not shown.lights:
-            raise LuxloopError(f"step {step}: its light is no longer kept; start anew to see it")
+        shown = self.lit_snapshot(step)
         head = shown.head
         T_body_world, modules, lights = inverse(matrix(head["T_world_body"])), [], []
         for module, u, posed in zip(self.simulation.modules, shown.lights, head["modules"], strict=True):

@@ -27,6 +27,7 @@ from luxloop.loop.studio.messages import (
     PROTOCOL,
     Acknowledge,
     AskBeam,
+    AskMeter,
     AskSummary,
     Button,
     Drive,
@@ -51,7 +52,7 @@ HELLO_S = 10.0  # time-out of a client's token
 UNKNOWN = 4401  # close code for a wrong token
 DEAF_S = 20.0  # time-out of sending a message
 STATUS_S = 0.1  # interval of messages on the session's state
-READ_ONLY = ("hello", "want", "scrub", "shown", "summary", "beam", "schema")  # message types open to watchers
+READ_ONLY = ("hello", "want", "scrub", "shown", "summary", "beam", "meter", "schema")  # message types open to watchers
 MOST_ANSWERS = 100  # unread by a client
 MOST_ASKED = 50  # waiting messages of all clients, some megabytes each
 KINDS = {".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css", ".txt": "text/plain; charset=utf-8"}
@@ -194,7 +195,7 @@ class Studio:
                 client.request = replace(client.request, at=None if step is None else (message.run, step))
             case Acknowledge(id=id_):
                 client.request = replace(client.request, shown=max(client.request.shown, id_))
-            case AskSummary() | AskBeam() | Button(type="schema"):
+            case AskSummary() | AskBeam() | AskMeter() | Button(type="schema"):
                 self._inquire(client, message)
             case Button(type="pen"):
                 self._let_go()

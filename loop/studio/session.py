@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from luxloop.loop.studio.messages import (
     VIEWS,
     AskBeam,
+    AskMeter,
     AskSummary,
     Button,
     Compare,
@@ -269,6 +270,10 @@ class Session:
                 task.reply({"type": "schema", "schema": _schema()})
             case AskBeam() as beam:
                 task.reply({**beam.model_dump(exclude={"ask"}), "points": self._run(beam.run).beam(beam.rule, beam.side, beam.step)})
+            case AskMeter() as ask:
+                from luxloop.loop.studio.meter import readings
+
+                task.reply(readings(self._run(ask.run), ask))
 
     def _paint(self, message: Paint | Place | Wish, task: Task) -> None:
         from luxloop.loop.studio import painting

@@ -159,7 +159,7 @@ class RunStream:
         """Window (first row, end row, first column, end column) of a module's light texture that changed pixels light, and its light in
         units of scale_cd; None without a change.
         """
-        light = self.run.simulation.modules[k].headlight
+        light = self.run.shining[k].headlight
         before, self._lights[k] = self._lights[k], (light, u)
         rows, cols = slice(0, light.rows), slice(0, light.cols)
         if before is not None and before[0] is light:  # not another lamp by an edit

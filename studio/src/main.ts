@@ -8,6 +8,7 @@ import { driveControls } from "./drive/index.ts";
 import { bindKeys } from "./keys.ts";
 import type { Painting } from "./matrix/painting.ts";
 import { type MatrixPanel, matrixPanel } from "./matrix/panel.ts";
+import { measuring } from "./measure/index.ts";
 import { keepOff } from "./model/entries.ts";
 import { keysPanel } from "./model/panel.ts";
 import { notices } from "./notices.ts";
@@ -54,9 +55,10 @@ const placing = placeThings(store, session, scenes, toasts.show);
 
 const matrix = matrixPanel(store, session, toasts.show);
 const light = worldLight(store, session, scenes, matrix.painting);
-const main = h("main", {}, scenes.element, cameraPanel(store), matrix.element, curvesPanel(store, session));
+const measures = measuring(store, session, scenes);
+const main = h("main", {}, scenes.element, cameraPanel(store, measures.onCamera), matrix.element, curvesPanel(store, session));
 const top = h("header", { class: "top" }, tools.element, notices(store));
-document.body.append(top, main, keysPanel(store, session, toasts.show), toasts.element, help.element, summary.element);
+document.body.append(top, main, keysPanel(store, session, toasts.show), measures.element, toasts.element, help.element, summary.element);
 store.on(["maximised"], ({ maximised }) => main.classList.toggle("maximised", maximised !== null));
 store.on(["scenario"], ({ scenario }) => {
   document.title = scenario ? `${scenario.name} - luxloop studio` : "luxloop studio";

@@ -112,6 +112,20 @@ export interface BeamPoint {
   passed: boolean | null;
 }
 
+export interface Reading {
+  surface: string;
+  point_m: [number, number, number];
+  ground_m: [number, number, number];
+  normal: [number, number, number];
+  h_deg: number;
+  v_deg: number;
+  distance_m: number;
+  cd: number;
+  lx: number;
+  vertical_lx: number;
+  cd_m2: number | null;
+}
+
 export interface ModulePixels {
   module: number;
   pixels: number[];
@@ -237,6 +251,13 @@ export interface BeamMessage {
   points: BeamPoint[];
 }
 
+export interface MeterMessage {
+  type: "meter";
+  run: number;
+  step: number;
+  readings: (Reading | null)[];
+}
+
 export interface PlaceMessage {
   type: "place";
   point_m: [number, number, number];
@@ -287,6 +308,17 @@ export interface BeamRequest {
   rule: string;
   side?: "left" | "right";
   step?: number | null;
+}
+
+export interface MeterRequest {
+  ask?: number | null;
+  type: "meter";
+  run?: number;
+  step?: number | null;
+  on?: "scene" | "wall";
+  eye_m: [number, number, number];
+  through_m: [number, number, number][];
+  side?: "left" | "right" | null;
 }
 
 export interface AcknowledgeRequest {
@@ -366,6 +398,6 @@ export interface WishRequest {
   over?: boolean;
 }
 
-export type ServerMessage = ScenarioMessage | ChoicesMessage | MeshesMessage | StepMessage | RowsMessage | StatusMessage | WelcomeMessage | ErrorMessage | ProgressMessage | EditMessage | SavedMessage | SchemaMessage | SummaryMessage | BeamMessage | PlaceMessage | WishMessage;
+export type ServerMessage = ScenarioMessage | ChoicesMessage | MeshesMessage | StepMessage | RowsMessage | StatusMessage | WelcomeMessage | ErrorMessage | ProgressMessage | EditMessage | SavedMessage | SchemaMessage | SummaryMessage | BeamMessage | MeterMessage | PlaceMessage | WishMessage;
 
-export type ClientMessage = HelloRequest | WantRequest | ScrubRequest | SummaryRequest | BeamRequest | AcknowledgeRequest | ButtonRequest | SpeedRequest | OpenRequest | SetRequest | RecordRequest | CompareRequest | DriveRequest | PaintRequest | PlaceRequest | WishRequest;
+export type ClientMessage = HelloRequest | WantRequest | ScrubRequest | SummaryRequest | BeamRequest | MeterRequest | AcknowledgeRequest | ButtonRequest | SpeedRequest | OpenRequest | SetRequest | RecordRequest | CompareRequest | DriveRequest | PaintRequest | PlaceRequest | WishRequest;

@@ -135,6 +135,10 @@ export class Session {
       case "error": {
         if (message.about === "scrub") this.#forget();
         if (message.about === "place" || message.about === "wish") store.set({ light: message });
+        if (message.about === "meter") {
+          store.set({ meter: message });
+          return;
+        }
         if (message.about === "drive") store.set({ driving: false });
         if (message.about === "paint") store.set({ answered: store.state.answered + 1 });
         const overrides = message.about === "set" || message.about === null ? this.#answer() : null;
@@ -194,6 +198,9 @@ export class Session {
         return;
       case "saved":
         download(message.name, new Blob([message.text], { type: "application/toml" }));
+        return;
+      case "meter":
+        store.set({ meter: message });
         return;
       case "place":
       case "wish":

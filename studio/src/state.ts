@@ -9,6 +9,7 @@ import type {
   ChoicesMessage,
   ErrorMessage,
   Mark,
+  MeterMessage,
   Model,
   PlaceMessage,
   ScenarioMessage,
@@ -85,6 +86,8 @@ export interface State extends SceneOptions {
   answered: number;
   /** The last answer on light in the world. */
   light: PlaceMessage | WishMessage | ErrorMessage | null;
+  /** The last answer of the light meter. */
+  meter: MeterMessage | ErrorMessage | null;
   /** The last edit by `Session.edit` that the server refused, and why. */
   refused: { overrides: string[]; text: string } | null;
   /** Whether edits of this page are not answered yet. */
@@ -139,6 +142,7 @@ export function newStore(): Studio {
     scenario: null,
     answered: 0,
     light: null,
+    meter: null,
     refused: null,
     edits_pending: false,
     model: null,

@@ -64,12 +64,16 @@ class GBuffer:
 
 def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:
     """Intersect the ray through each pixel's centre with the face `[height, width]` that it sees; float64 inside, float32 out."""
-    n = view.height * view.width
+    return along(triangles, view.origin, view.rays(), face_ids)
+
+
+def along(triangles: Triangles, origin: Tensor, rays: Tensor, face_ids: Tensor) -> GBuffer:
+    """Intersect rays `[3, height, width]` of any length from an origin `[3]` m with their faces `[height, width]`, as `gbuffer` does."""
+    n, directions = face_ids.numel(), rays.flatten(1)
     position, normal, albedo = torch.zeros(3, n), torch.zeros(3, n), torch.zeros(n)
     object_id, material = torch.full((n,), -1, dtype=torch.int32), torch.zeros(n, dtype=torch.int64)
     part = torch.zeros(n, dtype=torch.int32) if any(placed.body.parts for placed in triangles.placed) else None
     numbers = {LAMBERTIAN: 0}  # of the materials in sight
-    origin, directions = view.origin, view.rays().flatten(1)
     for hits in hits_on(triangles, face_ids.flatten(), origin, directions):
         placed, pixels = hits.placed, hits.pixels
         points = origin[:, None] + directions[:, pixels] * hits.depth
@@ -80,7 +84,7 @@ def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:
             part[pixels] = placed.body.part_of_face[hits.faces].int()
         albedo[pixels], material[pixels] = reflection(placed, points, numbers, None if part is None else part[pixels])
         object_id[pixels] = placed.object_id
-    shape = (view.height, view.width)
+    shape = face_ids.shape
     finish = Finish(tuple(numbers), material.view(shape), origin) if len(numbers) > 1 else None
     seen_part = None if part is None else part.view(shape)
     return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape), finish, seen_part)

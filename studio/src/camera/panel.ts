@@ -17,7 +17,8 @@ const FRAMES = [
 type Frame = (typeof FRAMES)[number][0];
 const SYMBOL_BGR = 0xe9b456; // little-endian blue, green, red
 
-export function cameraPanel(store: Studio): HTMLElement {
+/** onPixel: the cursor is on a pixel of the picture, null outside. */
+export function cameraPanel(store: Studio, onPixel: (pixel: { u: number; v: number } | null) => void): HTMLElement {
   const { element, bar, body } = panel(store, "camera", "Camera");
   let frame: Frame = "on";
   let withMarks = true;
@@ -25,7 +26,7 @@ export function cameraPanel(store: Studio): HTMLElement {
   let image: OffscreenCanvas | null = null;
   let symbol: OffscreenCanvas | null = null;
   let stale = true;
-  let cursor: { x: number; y: number } | null = null;
+  let cursor: { u: number; v: number } | null = null;
   const tables = { signed: differenceTable(true), clipped: differenceTable(false) };
   const readout = h("output", { class: "readout" });
   const legend = h("div", { class: "legend" });
@@ -57,8 +58,9 @@ export function cameraPanel(store: Studio): HTMLElement {
         read();
       },
       hover(point) {
-        cursor = point;
+        cursor = point && { u: Math.floor(point.x), v: Math.floor(point.y) };
         read();
+        onPixel(cursor);
       },
     },
     48,
@@ -120,8 +122,7 @@ export function cameraPanel(store: Studio): HTMLElement {
 
 type GreyPicture = ReturnType<typeof grey> | undefined;
 
-function number(point: { x: number; y: number }, frame: Frame, bits: number, on: GreyPicture, off: GreyPicture): string {
-  const [u, v] = [Math.floor(point.x), Math.floor(point.y)];
+function number({ u, v }: { u: number; v: number }, frame: Frame, bits: number, on: GreyPicture, off: GreyPicture): string {
   const of = (picture: GreyPicture) =>
     picture && u >= 0 && v >= 0 && u < picture.width && v < picture.height
       ? digitalNumber(picture.codes[v * picture.width + u], bits)

@@ -197,6 +197,12 @@ export class SceneView {
     return { point: this.frame.world(hit.point), normal: [normal.x, normal.y, normal.z], object, distance: hit.distance };
   }
 
+  /** Two points in the world on the ray of sight through a pixel of the canvas in CSS pixels. */
+  sight(x: number, y: number): { eye: Vector; through: Vector } {
+    const { origin, direction } = this.ray(x, y).ray;
+    return { eye: this.frame.world(origin), through: this.frame.world(origin.clone().add(direction)) };
+  }
+
   /** The ray of sight through a pixel of the canvas in CSS pixels, in the local frame. */
   ray(x: number, y: number): Raycaster {
     const { clientWidth, clientHeight } = this.canvas;

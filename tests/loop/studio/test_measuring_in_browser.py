@@ -1,0 +1,84 @@
+"""Figures under the cursor in a real browser: those of the place that is seen there, and those of the library."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import torch
+from selenium import webdriver
+from selenium.webdriver.common.action_chains import ActionChains
+
+from luxloop.loop.studio.page import PAGE
+from luxloop.loop.studio.sources import Source
+from tests.loop.studio.conftest import SMALL, Served, serving
+from tests.loop.studio.pages import IN_BROWSER, one, until, visit
+
+pytestmark = IN_BROWSER
+HIGH_BEAM = (*SMALL, "lighting.base.beam=high", "functions={}", "checks={}")
+SAME_PLACE = """const [x, y] = arguments, seen = luxloop.scenes[0].pick(x, y), { meter } = luxloop.store.state;
+    const found = meter?.readings?.[0]?.point_m;
+    return found && Math.hypot(...found.map((each, k) => each - seen[k])) < 0.02 && { found, ...meter.readings[0] }"""
+SHADER = "const [p, n] = arguments; return luxloop.scenes[0].probe(new Float32Array(p), new Float32Array(n))[0]"
+
+
+@pytest.fixture(scope="module")
+def served() -> Iterator[Served]:
+    """Two lamps with the high beam before five road users."""
+    yield from serving(Source("gfhb", HIGH_BEAM), PAGE)
+
+
+@pytest.fixture
+def page(browser: webdriver.Chrome, served: Served) -> webdriver.Chrome:
+    return visit(browser, served)
+
+
+def hover(page: webdriver.Chrome, css: str, x: int, y: int) -> tuple[float, float]:
+    """Move the cursor by CSS pixels from the middle of an element; returns where it is in it."""
+    element = one(page, css)
+    ActionChains(page).move_to_element_with_offset(element, x, y).perform()
+    size = page.execute_script("return [arguments[0].clientWidth, arguments[0].clientHeight]", element)
+    return size[0] // 2 + x, size[1] // 2 + y
+
+
+def figures(page: webdriver.Chrome) -> dict[str, float]:
+    """Numbers of the line, by name."""
+    script = (
+        "return Object.fromEntries([...document.querySelectorAll('.figures [data-figure]')].map((e) => [e.dataset.figure, e.innerText]))"
+    )
+    texts = page.execute_script(script)
+    return {name: float(text.split()[1].replace("\u2212", "-")) for name, text in texts.items()}
+
+
+def told(reading: dict[str, Any]) -> dict[str, float]:
+    """The same numbers of a reading."""
+    x, y, z = reading["ground_m"]
+    light = {"E": reading["lx"], "Ev": reading["vertical_lx"], "L": reading["cd_m2"], "I": reading["cd"]}
+    return {"x": x, "y": y, "z": z, "H": reading["h_deg"], "V": reading["v_deg"], "d": reading["distance_m"]} | light
+
+
+@pytest.mark.parametrize(("viewpoint", "y"), [("orbit", 30), ("above", 40), ("driver", 20), ("oncoming", 30), ("wall", -10)])
+def test_figures_are_those_of_the_place_under_the_cursor(page, viewpoint, y):
+    page.execute_script(f"luxloop.store.set({{ viewpoint: '{viewpoint}' }})")
+    at = hover(page, ".scene canvas", 12, y)
+    reading = until(page, SAME_PLACE.replace("arguments", str([*at]), 1))
+    until(page, "return document.querySelector('.figures [data-figure=E]')")
+    shown = figures(page)
+    for name, value in told(reading).items():
+        if name in shown:  # not the wall's luminance
+            assert shown[name] == pytest.approx(value, rel=6e-3, abs=6e-3), name  # three digits, or centimetres
+    assert {"x", "y", "z", "H", "V", "E", "I"} <= shown.keys()
+    if viewpoint != "wall":
+        shader = page.execute_script(SHADER, reading["point_m"], reading["normal"])
+        assert shader == pytest.approx(reading["lx"], rel=0.02, abs=1e-3)  # 2 %: what the picture differs by from the library
+
+
+def test_figures_of_a_pixel_of_the_camera_are_those_of_its_image(page, served):
+    hover(page, ".camera canvas", 3, 30)
+    until(page, "return /^u /.test(document.querySelector('.camera .readout').textContent)")
+    u, v = page.execute_script("return document.querySelector('.camera .readout').textContent.match(/\\d+/g).slice(0, 2).map(Number)")
+    scene = served.run.simulation.world.lit(0.0)
+    lx, cd_m2 = (each[v, u] for each in scene.light([torch.clone(each) for each in served.run.snapshots[0].lights]))
+    until(page, f"return Math.abs(luxloop.store.state.meter?.readings?.[0]?.lx / {float(lx)} - 1) < 1e-5")
+    shown = figures(page)
+    assert float(lx) > 0.5 and shown["E"] == pytest.approx(float(lx), rel=6e-3)  # three digits
+    assert shown["L"] == pytest.approx(float(cd_m2 + scene.base[v, u]), rel=6e-3)
