@@ -8,7 +8,7 @@ import pyarrow as pa
 import torch
 
 from luxloop.loop.recording.checks import baselines
-from luxloop.loop.simulation.columns import AIM, CENTROIDS, CUT, ERRORS, LOOKING_OF_TRUTH, POSE, SYMBOL, loss_name
+from luxloop.loop.simulation.columns import AIM, CENTROIDS, CUT, ERRORS, LOOKING_OF_TRUTH, POSE, PROJECTION, SYMBOL, loss_name
 from luxloop.loop.simulation.commanded import moved
 from luxloop.loop.simulation.evaluator import Evaluation, SymbolStep
 from luxloop.loop.simulation.light_figures import quantities
@@ -127,6 +127,8 @@ def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
     of_object = OBJECT | (OBJECT_PEAK if held else {}) | (LOOKED_AT if looks else {})
     columns |= {f"objects.{name}.{key}": of for name in simulation.recorded_ids for key, of in of_object.items()}
     columns |= {f"functions.{name}.{key}": of for name in simulation.controlled for key, of in SYMBOL.items()}
+    if simulation.truth is not None:
+        columns |= {f"functions.{name}.{key}": of for name in simulation.scenario.projections for key, of in PROJECTION.items()}
     columns |= {f"modules.{module}.{key}": MODULE[key] for module, key in moved(simulation.planner, simulation.modules)}
     columns |= {f"probes.{name}.lx": PROBE for name in simulation.scenario.probes if simulation.truth is not None}
     zones = [name for name, function in simulation.scenario.functions.items() if function.kind == "zone"]
@@ -169,6 +171,8 @@ def row(result: Evaluation) -> dict[str, Any]:
         values |= {f"objects.{name}.{key}": getattr(each, key) for key in OBJECT | OBJECT_PEAK}
     for name, held in result.held.items():
         values |= {f"functions.{name}.{key}": value for key, value in symbol_values(held).items()}
+    for name, seen in result.projections.items():
+        values |= {f"functions.{name}.{key}": getattr(seen, key) for key in PROJECTION}
     for (name, _), command in zip(result.now.lights, result.now.commands, strict=False):  # no commands where all modules are at rest
         values |= {f"modules.{name}.{key}": getattr(command, key) for key in MODULE}
     values |= {f"probes.{name}.lx": lx for name, lx in result.probes.items()}

@@ -7,10 +7,11 @@ import torch
 from torch import Tensor
 
 from luxloop.loop.recording.video import NOISY_CRF, VideoWriter
-from luxloop.loop.report.onlooker import Onlooker, mean_lights
+from luxloop.loop.report.onlooker import Onlooker
 from luxloop.loop.report.picture import frame_picture, white_of
 from luxloop.loop.report.views import above, chase, driver
 from luxloop.loop.simulation.evaluator import Evaluation
+from luxloop.loop.simulation.result import mean_lights
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.eye import exposure_of
 from luxloop.world.errors import locate

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.loop.simulation.evaluator import Evaluation
+from luxloop.loop.simulation.projections import Course
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import LitScene, World
 from luxloop.perception.eye import develop, smooth, veil
@@ -32,14 +32,6 @@ LAMP_M: Final = 0.3  # by which a lamp's point lies inside its body
 NOSE_M: Final = 0.05  # from the own car's lamps to its front end
 EDGE_M: Final = 0.4  # of the asphalt beyond a lane
 BEHIND_M: Final = 20.0  # behind the car up to which the road is seen
-AHEAD_M: Final = 200.0  # of the course's end, up to which the lane goes straight on
-COURSE_S: Final = 0.1  # between the places that give the course
-
-
-def mean_lights(result: Evaluation, shares: Sequence[float]) -> list[Tensor]:
-    """Utilisations `[n_p]` of each module that an eye sees in a step: the mean over its exposures. shares: of time, of each exposure."""
-    modules = zip(*(each.lights for each in result.exposures), strict=True)
-    return [sum((share * each.u for share, each in zip(shares, lights, strict=True)), torch.zeros(())) for lights in modules]
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,21 +144,13 @@ class Onlooker:
     def _on_grass(self, surfaces: GBuffer) -> Tensor:
         """Where `[H, W]` bool the ground lies beside the lanes."""
         x, y, _ = (each.cpu().numpy() for each in surfaces.position)
-        way_x, way_y, heading = self._course
-        at = (y - np.interp(x, way_x, way_y)) * np.cos(np.interp(x, way_x, heading))
+        at = self._course.aside_m(x, y)
         right, left = -self.lane_width_m / 2 - EDGE_M, 1.5 * self.lane_width_m + EDGE_M
         return (surfaces.object_id == 0) & torch.from_numpy((at < right) | (at > left))
 
     @cached_property
-    def _course(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """x and y in m and heading in rad of the drive, by ascending x."""
-        poses = [self.world.motion.at(t).T_world_ground for t in np.arange(0, self.duration_s + COURSE_S, COURSE_S)]
-        ahead = torch.tensor([[AHEAD_M, 0.0, 0.0]], dtype=torch.float64).T
-        way = torch.stack([*(each[:2, 3] for each in poses), transform(poses[-1], ahead)[:2, 0]])  # straight on after its end
-        (x, y), last = way.T.numpy(), [poses[-1]]
-        heading = np.array([torch.atan2(each[1, 0], each[0, 0]) for each in poses + last])
-        order = np.argsort(x, kind="stable")
-        return x[order], y[order], heading[order]
+    def _course(self) -> Course:
+        return Course.of(self.world.motion, self.duration_s)
 
     def _glare(self, lit: LitScene) -> Tensor:
         """Veil `[H, W]` in cd/m^2 of the lamps of others that shine into the eye."""

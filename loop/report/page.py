@@ -21,7 +21,7 @@ from luxloop.loop.recording.remedies import SHADOW
 from luxloop.loop.recording.summary import Summary
 from luxloop.loop.report.courses import write_courses
 from luxloop.loop.report.highlights import Highlights
-from luxloop.loop.report.onlooker import Onlooker, mean_lights
+from luxloop.loop.report.onlooker import Onlooker
 from luxloop.loop.report.picture import MARKS_RGB, WALL_DEG, camera_luminance, marks, readable, rectangle, wall_light, white_of
 from luxloop.loop.report.run_table import processing
 from luxloop.loop.report.style import SHARES, columns, drawing, field, no_frame, page_title, rows
@@ -33,6 +33,7 @@ from luxloop.loop.simulation.columns import of_one
 from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.lamps import under
 from luxloop.loop.simulation.light_figures import ObservedSymbol
+from luxloop.loop.simulation.result import mean_lights
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.eye import exposure_of
 from luxloop.world.frames import View, transform

@@ -133,6 +133,10 @@ class Scenario(Params):
     sensors: SensorParams = Field(SensorParams(), description="sensors of the vehicle's motion")
     plant: Annotated[PlantParams, Field(description="shows the light and exposes the frames")] = SimulatedPlantParams()
     judge_every: int = Field(1, ge=0, le=100_000, description="steps from one evaluation of a symbol under control to the next; 0: none")
+    judge_projections: bool = Field(
+        False,
+        description="in these steps, also evaluate all symbols on the road as the driver sees them: place, intensity, contrast, strokes",
+    )
     off_share: float = Field(0.5, gt=0, lt=1, description="share of a control step for which symbols under control are off")
     conditions: tuple[RoadConditionParams, ...] = Field(
         (RoadConditionParams(),), min_length=1, description="rain and street lighting, in ascending time"
@@ -200,6 +204,12 @@ class Scenario(Params):
         """The symbols under control, by name."""
         functions = self.functions.items()
         return {name: each for name, each in functions if isinstance(each, SymbolFunctionParams) and each.controller is not None}
+
+    @property
+    def projections(self) -> Mapping[str, SymbolFunctionParams]:
+        """The symbols on the road that `judge_projections` evaluates, by name: all but pictures for an observer."""
+        functions = self.functions.items() if self.judge_projections else ()
+        return {name: each for name, each in functions if isinstance(each, SymbolFunctionParams) and each.observer is None}
 
     @property
     def symbol(self) -> SymbolFunctionParams:

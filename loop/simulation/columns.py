@@ -52,6 +52,17 @@ def symbol_columns(degrees: Sequence[DegreeOfFreedom]) -> dict[str, tuple[str, s
 
 SYMBOL = symbol_columns(DEGREES)
 
+PROJECTION = {
+    "aside_m": ("m", "evaluator: largest distance of the seen symbol from the vehicle's course"),
+    "near_m": ("m", "evaluator: least distance of the seen symbol ahead of the lamps"),
+    "far_m": ("m", "evaluator: largest distance of the seen symbol ahead of the lamps"),
+    "cd_max": ("cd", "evaluator: largest intensity of one lamp towards the symbol"),
+    "h_deg_max": ("deg", "evaluator: largest angle of the symbol to a side, from a lamp"),
+    "v_deg_max": ("deg", "evaluator: highest angle of the symbol, from a lamp; negative below its height"),
+    "contrast": ("1", "evaluator: Weber contrast of the symbol to the road within 30' of it, as the driver sees them"),
+    "stroke_arcmin": ("arcmin", "evaluator: mean width of the symbol's strokes, as the driver sees them"),
+}
+
 # columns of lighting functions that need the truth
 LOOKING_OF_TRUTH = ("false_positives", "eyes_lx_max", "eyes_lx_peak", "oncoming_lx_max", "road_lx_ratio_max")
 OF_TRUTH = {
@@ -59,6 +70,7 @@ OF_TRUTH = {
     "symbol_iou_min",
     "luminance",
     *LOOKING_OF_TRUTH,
+    *PROJECTION,
     *(key for key in SYMBOL if SYMBOL[key][1].startswith("evaluator: ")),
 }
 

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.functions.planner import Planner
+from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.situation import Situation
 from luxloop.controllers.symbol.sensing.field import cut
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
@@ -35,7 +36,8 @@ from luxloop.loop.simulation.light_figures import (
     on_objects,
 )
 from luxloop.loop.simulation.probes import illuminance_at
-from luxloop.loop.simulation.result import Clock, StepResult, without
+from luxloop.loop.simulation.projections import Course, SeenProjection, look_at
+from luxloop.loop.simulation.result import Clock, StepResult, mean_lights, without
 from luxloop.loop.simulation.road_metrics import over_setpoint
 from luxloop.loop.simulation.world import ObjectLight, World, categories
 from luxloop.perception.detection.detector import Detections
@@ -96,7 +98,8 @@ class Evaluation(StepResult):
     `[height, width]` cd/m^2 of all light. Both are in the camera's view, computed on access, None without the truth. objects: recorded
     objects by name. detections: None without a detector. symbols: symbols for an observer, in the observer's view. held: closed-loop
     symbols by name. zones, materials: by name. road_lx_ratio_max: see `over_setpoint`, None in a step without evaluation. oncoming_s:
-    start times, by name, of near oncoming road users. probes: illuminance in lx by name, a mean over the exposures.
+    start times, by name, of near oncoming road users. probes: illuminance in lx by name, a mean over the exposures. projections: shown
+    symbols as the driver sees them, by name; none in a step without evaluation, or without `judge_projections`.
     """
 
     masked: frozenset[str]
@@ -111,6 +114,7 @@ class Evaluation(StepResult):
     road_lx_ratio_max: float | None
     oncoming_s: Mapping[str, float]
     probes: Mapping[str, float]
+    projections: Mapping[str, SeenProjection]
 
     @property
     def symbol(self) -> SymbolStep:
@@ -184,6 +188,7 @@ class Evaluator:
             road_lx_ratio_max=self._road_ratio(result) if due else None,
             oncoming_s=oncoming_s,
             probes=self._probes(result),
+            projections=self._projections(result) if due else {},
         )
         clock.lap("look")
         return replace(
@@ -196,6 +201,27 @@ class Evaluator:
         lights = [illuminance_at(self.scenario.probes, self.world, each.start_s, each.lights, each.commands) for each in result.exposures]
         shares = self.scenario.shares
         return {name: sum(share * lx[name] for share, lx in zip(shares, lights, strict=True)) for name in self.scenario.probes}
+
+    @cached_property
+    def _course(self) -> Course:
+        assert self.world is not None
+        return Course.of(self.world.motion, self.scenario.steps / self.scenario.rate_hz)
+
+    def _projections(self, result: StepResult) -> Mapping[str, SeenProjection]:
+        """Shown symbols on the road, by name."""
+        assert self.world is not None
+        found, now, planning = {}, result.now, result.planning
+        lights = mean_lights(result, self.scenario.shares)
+        for name, symbol in self.scenario.projections.items():
+            if planning.drawn.get(name) or name in planning.projections:
+                off = result.exposures[-1].lights if planning.measured == (name,) else self._lights_without(result, name)
+                found[name] = look_at(self.world, self._course, symbol, now.time_s, lights, off, now.commands)
+        return found
+
+    def _lights_without(self, result: StepResult, name: str) -> tuple[Utilisation, ...]:
+        """Light of all functions but a symbol."""
+        now, planning = result.now, result.planning
+        return self.lamps.drive(self.planner.compose(now, planning.functions, without(planning.drawn, [name])), now)[0]
 
     def _oncoming(self, now: Situation, before: Evaluation | None) -> Mapping[str, float]:
         """Start times of near oncoming road users, by name; empty without a detector or metered light."""
@@ -262,8 +288,7 @@ class Evaluator:
         on, off = result.exposures[0].lights, result.exposures[-1].lights
         for name in planning.measured:
             if len(planning.measured) > 1:
-                others = without(planning.drawn, [name])
-                off, _ = self.lamps.drive(self.planner.compose(now, planning.functions, others), now)
+                off = self._lights_without(result, name)
             evaluator = self.controlled[name].evaluator
             assert evaluator is not None and self.world is not None
             metrics[name] = evaluator.evaluate(self.world.added(now.time_s, on, off, now.commands), now.time_s)

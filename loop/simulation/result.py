@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from luxloop.controllers.functions.commands import FunctionCommands
@@ -191,6 +192,12 @@ class StepResult:
     def measurement(self) -> Measurement:
         """Measurement of the only closed-loop symbol shown. Raises LuxloopError if there are several or none."""
         return self.control.measurements[only(self.control.measurements)]
+
+
+def mean_lights(result: StepResult, shares: Sequence[float]) -> list[Tensor]:
+    """Utilisations `[n_p]` of each module that an eye sees in a step: the mean over its exposures. shares: of time, of each exposure."""
+    modules = zip(*(each.lights for each in result.exposures), strict=True)
+    return [sum((share * each.u for share, each in zip(shares, lights, strict=True)), torch.zeros(())) for lights in modules]
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ import torch
 
 from luxloop import LuxloopError, Simulation, load, run
 from luxloop.loop.report.film import Film
-from luxloop.loop.report.onlooker import Onlooker, mean_lights
+from luxloop.loop.report.onlooker import Onlooker
 from luxloop.loop.report.views import chase, driver
+from luxloop.loop.simulation.result import mean_lights
 from luxloop.world.headlight.matrix import LUMINANCE
 from luxloop.world.lamps.archive import save
 from luxloop.world.lamps.presets import lamp

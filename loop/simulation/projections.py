@@ -1,0 +1,154 @@
+"""Projections on the road as the driver sees them: place, luminous intensity, contrast and stroke width."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from luxloop.controllers.functions.symbol import DRIVER_M, SymbolFunctionParams
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.simulation.world import LitScene, World
+from luxloop.perception.metrics import THRESHOLD
+from luxloop.world.frames import View, inverse, pose, transform, unit
+from luxloop.world.headlight.lamp import REST, Commands
+from luxloop.world.scene.vehicle import Motion
+
+MOST_PX: Final = 1280  # larger extent of the view
+LEAST_ARCMIN: Final = 0.25  # of a pixel of the view
+MARGIN: Final = 1.0  # of the symbol's extent, to each side; light farther away is not looked at
+NEAREST_M: Final = 1.0  # ahead of the lamps
+SURROUND_ARCMIN: Final = 30.0  # width of the surround
+PENUMBRA: Final = 0.05  # largest share of the symbol's light in its surround
+PLACES: Final = 4000  # of a symbol at most that are looked at from the lamps
+AHEAD_M: Final = 200.0  # of the drive's end, up to which its course goes straight on
+COURSE_S: Final = 0.1  # between the places that give the course
+
+
+@dataclass(frozen=True)
+class SeenProjection:
+    """A projection in one step, in light averaged over its exposures; NaN where none of it is seen.
+
+    aside_m: largest distance from the vehicle's course. near_m, far_m: least and largest distance ahead of the lamps. cd_max: largest
+    intensity of one lamp towards it. h_deg_max, v_deg_max: largest angle from a lamp to the side, and up from its horizontal plane.
+    contrast: `(L - L_b) / L_b` of the mean luminances of symbol and surround, the road within 30' of it that has at most 5 % of its light
+    (Weber contrast, as in Appl. Sci. 2023, 13, 2964). stroke_arcmin: mean width of its strokes as the driver sees them, four times the
+    mean distance from their edges.
+    """
+
+    aside_m: float = math.nan
+    near_m: float = math.nan
+    far_m: float = math.nan
+    cd_max: float = math.nan
+    h_deg_max: float = math.nan
+    v_deg_max: float = math.nan
+    contrast: float = math.nan
+    stroke_arcmin: float = math.nan
+
+
+class Course(NamedTuple):
+    """The vehicle's path in the world by ascending x: x and y in m, heading in rad, all `[n]`."""
+
+    x_m: np.ndarray
+    y_m: np.ndarray
+    heading: np.ndarray
+
+    @classmethod
+    def of(cls, motion: Motion, duration_s: float) -> "Course":
+        """The course of a drive, straight on after its end."""
+        poses = [motion.at(t).T_world_ground for t in np.arange(0, duration_s + COURSE_S, COURSE_S)]
+        ahead = torch.tensor([[AHEAD_M, 0.0, 0.0]], dtype=torch.float64).T
+        way, last = torch.stack([*(each[:2, 3] for each in poses), transform(poses[-1], ahead)[:2, 0]]), [poses[-1]]
+        heading = np.array([torch.atan2(each[1, 0], each[0, 0]) for each in poses + last])
+        x, y = way.T.numpy()
+        order = np.argsort(x, kind="stable")
+        return cls(x[order], y[order], heading[order])
+
+    def aside_m(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+        """Distances in m of places of the world to the left of the course."""
+        return (y_m - np.interp(x_m, self.x_m, self.y_m)) * np.cos(np.interp(x_m, self.x_m, self.heading))
+
+
+def look_at(
+    world: World,
+    course: Course,
+    symbol: SymbolFunctionParams,
+    time_s: float,
+    lights: Sequence[Tensor],
+    without: Sequence[Utilisation],
+    commands: Commands = (),
+) -> SeenProjection:
+    """A symbol at a time. lights: utilisations `[n_p]` with it, a mean over time; without: the same without it, one a module."""
+    view = driver_view(symbol)
+    seen = world.through(view, time_s)
+    dark = seen.light([each.u for each in without], commands)[1] + seen.base
+    luminance = seen.light(lights, commands)[1] + seen.base
+    added = torch.where(seen.surfaces.object_id == 0, luminance - dark, 0.0).clamp(min=0)
+    if not bool(added.any()):
+        return SeenProjection()
+    median = added[added > THRESHOLD * added.max()].median()
+    lit = added > THRESHOLD * median
+    arcmin = 60 * math.degrees(1 / view.fx)
+    inside = _distance_px(lit)
+    surround = (_distance_px(~lit) <= SURROUND_ARCMIN / arcmin) & ~lit & (seen.surfaces.object_id == 0) & (added <= PENUMBRA * median)
+    background = float(luminance[surround].mean())
+    places = seen.surfaces.position[:, lit].double().cpu()
+    x_m = transform(inverse(world.motion.at(time_s).T_world_ground), places)[0]
+    cd, h_deg, v_deg = _from_lamps(seen, lights, commands, places[:, :: math.ceil(places.shape[1] / PLACES)])
+    return SeenProjection(
+        aside_m=float(np.abs(course.aside_m(places[0].numpy(), places[1].numpy())).max()),
+        near_m=float(x_m.min()),
+        far_m=float(x_m.max()),
+        cd_max=cd,
+        h_deg_max=h_deg,
+        v_deg_max=v_deg,
+        contrast=float(luminance[lit].mean()) / background - 1 if background > 0 else math.nan,
+        stroke_arcmin=4 * (float(inside[lit].mean()) - 0.5) * arcmin,  # an edge lies half a pixel from the first pixel beyond
+    )
+
+
+def driver_view(symbol: SymbolFunctionParams) -> View:
+    """View in the ground frame from the driver's eye that holds a symbol and its surround, in as many pixels as there may be."""
+    eye = torch.tensor(DRIVER_M, dtype=torch.float64)
+    yaw = math.radians(symbol.yaw_deg)
+    along, across = (0.5 + MARGIN) * symbol.length_m, (0.5 + MARGIN) * symbol.width_m
+    corners = torch.tensor([[along, along, -along, -along], [across, -across, across, -across]], dtype=torch.float64)
+    turn = torch.tensor([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]], dtype=torch.float64)
+    x, y = turn @ corners + torch.tensor([[symbol.x_m], [symbol.y_m]], dtype=torch.float64)
+    points = torch.stack([x.clamp(min=NEAREST_M), y, torch.zeros_like(x)])
+    forward = unit(torch.tensor([symbol.x_m, symbol.y_m, 0.0], dtype=torch.float64) - eye)
+    right = unit(torch.linalg.cross(forward, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)))
+    R = torch.stack([right, torch.linalg.cross(forward, right), forward], -1)
+    u, v, depth = R.T @ (points - eye[:, None])
+    (left, top), (last, bottom) = ((each(u / depth).item(), each(v / depth).item()) for each in (torch.min, torch.max))
+    focal = min(MOST_PX / max(last - left, bottom - top), 60 * math.degrees(1) / LEAST_ARCMIN)
+    width, height = (max(math.ceil(focal * extent), 1) for extent in (last - left, bottom - top))
+    return View(width, height, focal, focal, -left * focal, -top * focal, pose(eye, R))
+
+
+def _distance_px(mask: Tensor) -> Tensor:
+    """Distance in px of each pixel of a mask `[height, width]` bool from the nearest one outside of it."""
+    distance = cv2.distanceTransform(mask.cpu().numpy().astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return torch.from_numpy(distance).to(mask.device)
+
+
+def _from_lamps(seen: LitScene, lights: Sequence[Tensor], commands: Commands, places: Tensor) -> tuple[float, float, float]:
+    """Largest intensity in cd of one lamp towards places `[3, N]` m of the world, and their largest angles in deg aside and up from it."""
+    T_body_world = inverse(seen.vehicle.T_world_body)
+    here = transform(T_body_world, places)
+    total, h_deg, v_deg = dict[str, Tensor](), -math.inf, -math.inf
+    for module, u, command in zip(seen.modules, lights, commands or (REST,) * len(seen.modules), strict=True):
+        T = command.turn(module.T_body_headlight).double().cpu()
+        ray = here - T[:3, 3:]
+        side = module.name.partition(" ")[0]
+        texture = module.textures.light_texture(u).double().cpu()
+        cd = command.intensity * module.headlight.to(torch.device("cpu")).intensity(texture, T[:3, :3].T @ ray)
+        total[side] = total.get(side, torch.zeros(())) + cd
+        x, y, z = ray
+        h_deg = max(h_deg, float(torch.rad2deg(torch.atan2(y, x)).abs().max()))
+        v_deg = max(v_deg, float(torch.rad2deg(torch.atan2(z, torch.hypot(x, y))).max()))
+    return max(float(each.max()) for each in total.values()), h_deg, v_deg
