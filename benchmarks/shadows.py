@@ -99,7 +99,7 @@ def shares(place: Place, world: World, n: int) -> dict[str, float]:
 
 def places(road: Road, world: World) -> Iterator[tuple[str, str, Place]]:
     """Way and view of a car that stands on a road and of one that drives there."""
-    T_world_lamp, standing = world.modules[0].T_body_headlight, Scene((Body("road", road_mesh(road), smooth=True),)).at(0.0)
+    T_world_lamp, standing = world.modules[0].T_body_headlight, Scene((Body("road", road_mesh(road), smooth=True, ground=True),)).at(0.0)
     yield "standing", "camera", (standing, world.view, T_world_lamp, False)
     yield "standing", "above", (standing, from_above(), T_world_lamp, False)
     tiles = RoadTiles(road, (0.0, 0.0), 0.2, None)

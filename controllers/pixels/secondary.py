@@ -31,13 +31,12 @@ def scene_caster(triangles: Triangles, T_world_points: Tensor | None = None) -> 
 
     The road casts no shadow, since a primitive 1 cm below the road would be occluded everywhere.
     """
-    casting = Triangles(tuple(group.off_road for group in triangles.groups if group.off_road.placed))
 
     def occluded(points: Tensor, target: Tensor) -> Tensor:
         if T_world_points is not None:
             T = T_world_points.to(points)
             points, target = transform(T, points), transform(T, target[:, None].to(points))[:, 0]
-        return ~sees(casting, target, points, BIAS_M)
+        return ~sees(triangles.off_road, target, points, BIAS_M)
 
     return occluded
 

@@ -141,11 +141,11 @@ def box(name: str, size_m: tuple[float, float, float], x_m: float, y_m: float) -
 
 
 SCENES = {
-    "bumps of -2 to 5 cm, interpolated normals": ([Body("road", road_mesh(Bumps()), smooth=True)], chevrons()),
-    "ISO 8608 class C, face normals": ([Body("road", road_mesh(Iso8608(roughness_class="C")))], waves()),
+    "bumps of -2 to 5 cm, interpolated normals": ([Body("road", road_mesh(Bumps()), smooth=True, ground=True)], chevrons()),
+    "ISO 8608 class C, face normals": ([Body("road", road_mesh(Iso8608(roughness_class="C")), ground=True)], waves()),
     "mixed road, boxes throw shadows": (
         [
-            Body("road", road_mesh(Mixed()), smooth=True),
+            Body("road", road_mesh(Mixed()), smooth=True, ground=True),
             box("near", (0.5, 0.8, 0.5), 11, 0.5),
             box("far", (2, 1.8, 1.4), 30, -1.5),
         ],

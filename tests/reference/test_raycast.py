@@ -28,7 +28,7 @@ DISTANCES_M = (5, 10, 20, 40, 60)
 
 
 def scene_with(road: trimesh.Trimesh, *bodies: Body) -> Triangles:
-    return Scene((Body("road", road, smooth=True), *bodies)).at(0.0)
+    return Scene((Body("road", road, smooth=True, ground=True), *bodies)).at(0.0)
 
 
 def box(x_m: float, height_m: float = 1.0, y_m: float = 0.6) -> Body:
@@ -155,3 +155,14 @@ def test_points_may_come_in_batches_on_any_device(device):
     seen = lit(scene_with(flat(), box(17.0)), points.to(device))
     assert seen.device == points.to(device).device
     assert seen.tolist() == [[True, False, False], [False, True, True]]
+
+
+def test_a_road_hides_what_it_hides_as_a_body():
+    """Of a body every point is tested against all faces; of the ground, those that a far side could hide, against far sides."""
+    road = Body("road", road_mesh(Iso8608(roughness_class="E")), smooth=True)
+    as_ground, as_body = (Scene((replace(road, ground=each), *things())).at(0.0) for each in (True, False))
+    points = torch.cat([mesh_points(road.mesh, x_m) for x_m in DISTANCES_M], 1)
+    found, expected = (sees(each, WIDE.origin, points) for each in (as_ground, as_body))
+    assert 0.05 < (~expected).double().mean() < 0.95
+    # rounding of embree's float32 at crests, as above
+    assert (found != expected).sum() <= 1e-3 * len(expected)

@@ -1,4 +1,4 @@
-"""The project's only ray caster: one embree scene of static bodies and one of moving bodies."""
+"""The project's only ray caster: embree scenes of the road, of standing and of moving bodies, and of what could throw a shadow."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -8,11 +8,14 @@ from torch import Tensor
 
 from luxloop.world.caches import Part
 from luxloop.world.frames import View
+from luxloop.world.rendering.occlusion import occlusion
+from luxloop.world.scene.embree import EmbreeMesh
 from luxloop.world.scene.triangles import Hits, Triangles, intersect, on_planes
 
 TOLERANCE_M = 2e-3  # along the ray, within which a hit counts as the surface itself
 BELOW_M = 1e-5  # across the face, for rounding in float32: a grazing ray meets it far before its point
 BESIDE = 1e-4  # of a face, by which a ray may pass beside it
+LIFT = 1e-7  # of the distance, by which points are raised for a second ray, since float32 puts some below the far side they are on
 SPARE = 1 + 1e-5  # of depths, which embree finds in float32
 
 
@@ -62,14 +65,25 @@ def depths(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: T
 def sees(triangles: Triangles, eye: Tensor, points: Tensor, tolerance_m: float = TOLERANCE_M) -> Tensor:
     """Whether an eye or lamp at `[3]` m sees points `[..., 3, N]` in m, `[..., N]` bool.
 
-    A point is hidden if it lies behind the first face on its ray by more than the tolerance along the ray and `BELOW_M` across the face.
+    A body hides a point that lies behind its first face on the ray by more than the tolerance along the ray and `BELOW_M` across the face.
+    The road hides a point that lies behind a far side of it, or on one.
     """
     eye = eye.double().cpu()
     ways = points.double().cpu().movedim(-2, 0).flatten(1) - eye[:, None]  # [3, ... * N]
+    visible = torch.ones(ways.shape[1], dtype=torch.bool)
+    asked, far_sides = occlusion(triangles, eye, ways, tolerance_m)
+    ways = ways[:, asked]
     distance = ways.square().sum(0).sqrt_()
-    _, depth, across = _cast(triangles, eye, ways, (1 - tolerance_m / distance).float())
+    _, depth, across = _cast(triangles.off_road, eye, ways, (1 - tolerance_m / distance).float())
     hidden = ((1 - depth) * distance > tolerance_m) & ((1 - depth) * across > BELOW_M)
-    return (~hidden).to(points.device).view(points[..., 0, :].shape)
+    if len(far_sides) and len(asked):
+        faces = torch.arange(far_sides.shape[0] * 3).view(-1, 3).flip(1)  # so that far sides face the eye
+        mesh = EmbreeMesh(far_sides.flatten(0, 1), faces, torch.zeros(len(faces), dtype=torch.bool))
+        for lift in (0.0, LIFT):
+            ways[2] += lift * distance
+            hidden[mesh.cast(torch.zeros(3).double(), ways, torch.ones(len(asked)))[0]] = True
+    visible[asked] = ~hidden
+    return visible.to(points.device).view(points[..., 0, :].shape)
 
 
 def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -131,7 +131,7 @@ class Body:
     mesh: in the body frame, m. albedo: 0..1. texture: albedo and material over the body's x and y instead of the constants. smooth: vertex
     normals interpolated over a face (roads, people) instead of one normal a face (boxes). two_sided: faces are visible from both sides
     (sheets, open meshes), else only where their corners run counter-clockwise. parts: with albedos and materials of their own, in place of
-    the body's. part_of_face: `[F]` int64, which of them a face belongs to.
+    the body's. part_of_face: `[F]` int64, which of them a face belongs to. ground: a surface z(x, y), whose faces look up.
     """
 
     name: str
@@ -145,6 +145,7 @@ class Body:
     parts: tuple[Part, ...] = ()
     part_of_face: Tensor | None = None
     spotlights: tuple[Spotlight, ...] = ()
+    ground: bool = False
 
     @property
     def corners(self) -> Tensor:

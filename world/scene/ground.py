@@ -240,5 +240,5 @@ def _lines(start: float, spacing: float, required: tuple[float, ...]) -> Floats:
 
 
 def _instance(road: StandingRoad | RoadTiles | RoadPatches, object_id: int, mesh: "trimesh.Trimesh") -> Instance:
-    body = Body(road.name, mesh, road.albedo, road.texture, smooth=True)
+    body = Body(road.name, mesh, road.albedo, road.texture, smooth=True, ground=True)
     return Instance(object_id, body, torch.eye(4, dtype=torch.float64))

@@ -64,16 +64,16 @@ class Scene:
         """
         here = torch.eye(4, dtype=torch.float64) if T_world_ground is None else T_world_ground
         placed_before = {placed.object_id: placed for placed in before.placed}
-        standing, moving = list[Instance](), list[Instance]()
+        road, standing, moving = list[Instance](), list[Instance](), list[Instance]()
         for i, body in enumerate(self.bodies):
             if not body.track.visible_at(t_s):
                 continue
             if isinstance(body, Ground):
-                standing += body.near(i, here)
+                road += body.near(i, here)
             else:
                 (moving if len(body.track.times_s) > 1 else standing).append(self._place(i, body, t_s, placed_before.get(i)))
         groups_before = {group.placed: group for group in before.groups}
-        return Triangles(tuple(groups_before.get(each) or Group(each) for each in (tuple(standing), tuple(moving)) if each))
+        return Triangles(tuple(groups_before.get(each) or Group(each) for each in map(tuple, (road, standing, moving)) if each))
 
     def _place(self, i: int, body: Body | Figure, t_s: float, before: Instance | None) -> Instance:
         T, shape = body.track.pose_at(t_s), body.at(t_s) if isinstance(body, Figure) else body

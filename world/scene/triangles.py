@@ -62,9 +62,19 @@ class Group:
 
     @cached_property
     def off_road(self) -> "Group":
-        """The group without the road, whose object id is 0."""
-        bodies = tuple(each for each in self.placed if each.object_id != 0)
+        """The group without the road."""
+        bodies = tuple(each for each in self.placed if not each.body.ground)
         return self if len(bodies) == len(self.placed) else Group(bodies)
+
+    @cached_property
+    def road(self) -> tuple[Tensor, Tensor]:
+        """Corners `[F, 3 corners, 3]` m of the road's faces in the world, and these faces' planes `[4, F]`, both float64.
+
+        A plane's product with (x, y, z, 1) is the height in m above it.
+        """
+        a, b, c = torch.cat([torch.empty(0, 3, 3).double(), *(each.corners for each in self.placed if each.body.ground)]).unbind(1)
+        normal = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=-1)
+        return torch.stack([a, b, c], 1), torch.cat([normal, -(normal * a).sum(-1, keepdim=True)], 1).T.contiguous()
 
     @cached_property
     def embree(self) -> tuple[EmbreeMesh, Tensor]:
@@ -98,6 +108,11 @@ class Triangles:
     def placed(self) -> tuple[Instance, ...]:
         """All placed bodies."""
         return tuple(each for group in self.groups for each in group.placed)
+
+    @cached_property
+    def off_road(self) -> "Triangles":
+        """All but the road."""
+        return Triangles(tuple(group.off_road for group in self.groups if group.off_road.placed))
 
     def parts(self) -> Iterator[tuple[int, Instance]]:
         """Each placed body with its first face id."""

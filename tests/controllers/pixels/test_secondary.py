@@ -39,7 +39,7 @@ def test_beside_and_behind_a_lamp_there_is_none_of_its_light():
 
 
 def test_an_observer_does_not_see_behind_a_box():
-    occluded = scene_caster(Scene((Body("road", trimesh.creation.box((1000, 1000, 0.02))), box(10, 0, 1, (1, 2, 2)))).at(0.0))
+    occluded = scene_caster(Scene((Body("road", trimesh.creation.box((1000, 1000, 0.02)), ground=True), box(10, 0, 1, (1, 2, 2)))).at(0.0))
     eye = torch.tensor([0.0, 0.0, 1.2], dtype=torch.float64)
     points = torch.tensor([[5.0, 20, 20, 9.5], [0, 0, 5, 0], [0, 0, 0, 1]], dtype=torch.float64)  # the last lies on the box
     assert visible_from(points, eye, occluded).tolist() == [True, False, True, True]
@@ -48,13 +48,13 @@ def test_an_observer_does_not_see_behind_a_box():
 
 
 def test_casters_of_one_scene_share_its_embree_copy():
-    triangles = Scene((Body("road", trimesh.creation.box((9, 9, 0.02))), box(10, 0, 1, (1, 2, 2)))).at(0.0)
+    triangles = Scene((Body("road", trimesh.creation.box((9, 9, 0.02)), ground=True), box(10, 0, 1, (1, 2, 2)))).at(0.0)
     first, second = ([group.off_road.embree for group in triangles.groups] for _ in range(2))
     assert all(a is b for a, b in zip(first, second, strict=True))
 
 
 def test_an_observer_sees_out_of_their_own_body():
-    occluded = scene_caster(Scene((Body("road", trimesh.creation.box((1, 1, 1))), box(8, 0, 0.85, (1.8, 0.5, 1.7)))).at(0.0))
+    occluded = scene_caster(Scene((Body("road", trimesh.creation.box((1, 1, 1)), ground=True), box(8, 0, 0.85, (1.8, 0.5, 1.7)))).at(0.0))
     eye = torch.tensor([8.0, 0.0, 1.6], dtype=torch.float64)
     assert visible_from(torch.tensor([[15.0], [0.6], [0.0]], dtype=torch.float64), eye, occluded).all()
     assert not visible_from(torch.tensor([[15.0], [0.0], [0.0]], dtype=torch.float64), eye - torch.tensor([8.0, 0, 0.5]), occluded).any()

@@ -37,7 +37,7 @@ def quick() -> QuickSurfaces:
 def bodies() -> tuple[Body, ...]:
     """A bumpy road with paint, a box and a two-sided sheet."""
     box = BoxParams(name="box", size_m=(1, 1, 1), albedo=0.05, track=[{"position_m": (14, 0.3, 0), "yaw_deg": 30}]).build()
-    road = Body("road", bumpy(), 0.2, SURFACE.texture(), smooth=True)
+    road = Body("road", bumpy(), 0.2, SURFACE.texture(), smooth=True, ground=True)
     sheet = replace(box, name="sheet", two_sided=True, track=PoseTrack.static(pose_from_degrees((20.0, -2.0, 0.5), yaw_deg=70)))
     return road, box, sheet
 
@@ -71,7 +71,7 @@ def test_the_quick_way_sees_what_the_exact_one_sees():
 def test_far_from_the_origin_of_the_world_smooth_bumps_shade_no_points_more():
     T, view = pose_from_degrees((1500.0, 0.0, 0.0)), camera()
     mesh = bumpy().apply_translation((1500.0, 0.0, 0.0))
-    triangles, lamp_m = Scene((Body("road", mesh, smooth=True),)).at(0.0), lamp().origin + T[:3, 3]
+    triangles, lamp_m = Scene((Body("road", mesh, smooth=True, ground=True),)).at(0.0), lamp().origin + T[:3, 3]
     view = replace(view, T_world_view=T @ view.T_world_view)
     exact, fast = ExactSurfaces(RayCaster()).gbuffer(triangles, view), quick().gbuffer(triangles, view)
     away = lamp_m.float()[:, None, None] - exact.position
