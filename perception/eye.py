@@ -19,19 +19,33 @@ DARKEST = 1e-3  # luminance in cd/m^2, of a moonless night
 EDGE = 0.06  # least contrast of an edge that is smoothed, of the picture's white
 
 
-def veil(view: View, sources: Tensor, eye_lx: Tensor, age_years: float) -> Tensor:
-    """Veiling luminance `[height, width]` in cd/m^2 about point sources: `10/θ³ + (5/θ² + 0.1p/θ)(1 + (A/62.5)⁴) + 0.0025p` for each lux
-    at the eye, θ in deg (CIE 146:2002, general disability glare).
+def veil_per_lux(theta_deg: Tensor, age_years: float) -> Tensor:
+    """Veiling luminance in cd/m^2 for each lux at the eye from a point source at an angle from where it looks:
+    `10/θ³ + (5/θ² + 0.1p/θ)(1 + (A/62.5)⁴) + 0.0025p`, θ in deg (CIE 146:2002, general disability glare). age_years: A.
+    """
+    theta = theta_deg.clamp(min=CORE_DEG)
+    older = 1 + (age_years / 62.5) ** 4
+    return 10 / theta**3 + (5 / theta**2 + 0.1 * PIGMENT / theta) * older + 0.0025 * PIGMENT
 
-    sources: `[3, n]` m, world. eye_lx: `[n]`, illuminance at the eye from each. age_years: A.
+
+def veil(view: View, sources: Tensor, eye_lx: Tensor, age_years: float) -> Tensor:
+    """Veiling luminance `[height, width]` in cd/m^2 about point sources.
+
+    sources: `[3, n]` m, world. eye_lx: `[n]`, illuminance at the eye from each. age_years: as of `veil_per_lux`.
     """
     rays = unit(view.rays().flatten(1).float())
     total = rays.new_zeros(rays.shape[1])
-    older = 1 + (age_years / 62.5) ** 4
     for source, lx in zip(unit(sources - view.origin[:, None]).float().T, eye_lx.tolist(), strict=True):
-        theta = torch.rad2deg(2 * torch.asin(((rays - source[:, None]).square().sum(0).sqrt() / 2).clamp(max=1))).clamp(min=CORE_DEG)
-        total += lx * (10 / theta**3 + (5 / theta**2 + 0.1 * PIGMENT / theta) * older + 0.0025 * PIGMENT)
+        theta = torch.rad2deg(2 * torch.asin(((rays - source[:, None]).square().sum(0).sqrt() / 2).clamp(max=1)))
+        total += lx * veil_per_lux(theta, age_years)
     return total.view(view.height, view.width)
+
+
+def threshold_increment(veil_cd_m2: float, adaptation_cd_m2: float) -> float:
+    """Increase in % of the contrast at which an object is just seen, `TI = 65 L_v / L^0.8` (CIE 31, EN 13201-3) for an adaptation
+    luminance L of 0.05 to 5 cd/m^2.
+    """
+    return 65 * veil_cd_m2 / adaptation_cd_m2**0.8
 
 
 def exposure_of(light: Tensor) -> float:

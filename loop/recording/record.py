@@ -97,6 +97,10 @@ MODULE = {
 }
 MATERIAL = {"lx": ("lx", "illuminance"), "luminance": ("cd/m^2", "luminance")}
 PROBE = ("lx", "illuminance from the lamps on this probe, a mean over the step; empty while its object does not exist")
+EYE = {
+    "veil_cd_m2": ("cd/m^2", "veiling luminance by the lamps in an eye at this probe, for the age video.age_years (CIE 146)"),
+    "ti_percent": ("%", "threshold increment of that eye, 65 veil / adaptation^0.8"),
+}
 NAN = torch.tensor(torch.nan)
 NO_METRICS = Metrics(NAN.expand(2), NAN, NAN, NAN, NAN)
 LOOKED_AT = {
@@ -130,7 +134,10 @@ def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
     if simulation.truth is not None:
         columns |= {f"functions.{name}.{key}": of for name in simulation.scenario.projections for key, of in PROJECTION.items()}
     columns |= {f"modules.{module}.{key}": MODULE[key] for module, key in moved(simulation.planner, simulation.modules)}
-    columns |= {f"probes.{name}.lx": PROBE for name in simulation.scenario.probes if simulation.truth is not None}
+    if simulation.truth is not None:
+        columns |= {f"probes.{name}.lx": PROBE for name in simulation.scenario.probes}
+        eyes = [name for name, probe in simulation.scenario.probes.items() if probe.adaptation_cd_m2 is not None]
+        columns |= {f"probes.{name}.{key}": of for name in eyes for key, of in EYE.items()}
     zones = [name for name, function in simulation.scenario.functions.items() if function.kind == "zone"]
     columns |= {f"functions.{name}.{key}": of for name in zones for key, of in ZONE.items()}
     for name, quantity in quantities(simulation.scenario.functions).items():
@@ -176,6 +183,8 @@ def row(result: Evaluation) -> dict[str, Any]:
     for (name, _), command in zip(result.now.lights, result.now.commands, strict=False):  # no commands where all modules are at rest
         values |= {f"modules.{name}.{key}": getattr(command, key) for key in MODULE}
     values |= {f"probes.{name}.lx": lx for name, lx in result.probes.items()}
+    for name, glare in result.glare.items():
+        values |= {f"probes.{name}.{key}": getattr(glare, key) for key in EYE}
     for name, zone in result.zones.items():
         values |= {f"functions.{name}.{key}": getattr(zone, key) for key in ZONE}
     for name, material in result.materials.items():

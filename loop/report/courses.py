@@ -39,7 +39,7 @@ def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, su
         charts[lambda axes: _symbols(axes, table, held)] = 1.4
     if zones := zones_of(table):
         charts[lambda axes: _zones(axes, table, zones)] = 2.0
-    if probes := [name for name in table.column_names if name.startswith("probes.")]:
+    if probes := [name for name in table.column_names if name.startswith("probes.") and name.endswith(".lx")]:
         charts[lambda axes: _probes(axes, table, probes)] = 1.4
     if any(materials_of(table, quantity) for quantity in UNITS):
         charts[lambda axes: _materials(axes, table)] = 2.0

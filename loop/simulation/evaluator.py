@@ -3,9 +3,10 @@
 The loop and its controllers never use them.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import torch
 from torch import Tensor
@@ -35,14 +36,16 @@ from luxloop.loop.simulation.light_figures import (
     on_materials,
     on_objects,
 )
-from luxloop.loop.simulation.probes import illuminance_at
+from luxloop.loop.simulation.probes import illuminance_at, veils_at
 from luxloop.loop.simulation.projections import Course, SeenProjection, look_at
-from luxloop.loop.simulation.result import Clock, StepResult, mean_lights, without
+from luxloop.loop.simulation.result import Clock, Lights, StepResult, mean_lights, without
 from luxloop.loop.simulation.road_metrics import over_setpoint
 from luxloop.loop.simulation.world import ObjectLight, World, categories
 from luxloop.perception.detection.detector import Detections
+from luxloop.perception.eye import threshold_increment
 from luxloop.perception.metrics import Metrics
 from luxloop.perception.tracking import TrackedBoxes
+from luxloop.world.headlight.lamp import Commands
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +93,14 @@ class FrameDetections:
     oncoming_lx_max: float | None = None
 
 
+@dataclass(frozen=True)
+class Glare:
+    """Veiling luminance in an eye by the lamps, and its threshold increment; NaN while its object does not exist."""
+
+    veil_cd_m2: float
+    ti_percent: float
+
+
 @dataclass(frozen=True, eq=False)
 class Evaluation(StepResult):
     """A step with its metrics.
@@ -98,7 +109,8 @@ class Evaluation(StepResult):
     `[height, width]` cd/m^2 of all light. Both are in the camera's view, computed on access, None without the truth. objects: recorded
     objects by name. detections: None without a detector. symbols: symbols for an observer, in the observer's view. held: closed-loop
     symbols by name. zones, materials: by name. road_lx_ratio_max: see `over_setpoint`, None in a step without evaluation. oncoming_s:
-    start times, by name, of near oncoming road users. probes: illuminance in lx by name, a mean over the exposures. projections: shown
+    start times, by name, of near oncoming road users. probes: illuminance in lx by name, a mean over the exposures. glare: in the eyes
+    at them. projections: shown
     symbols as the driver sees them, by name; none in a step without evaluation, or without `judge_projections`.
     """
 
@@ -114,6 +126,7 @@ class Evaluation(StepResult):
     road_lx_ratio_max: float | None
     oncoming_s: Mapping[str, float]
     probes: Mapping[str, float]
+    glare: Mapping[str, Glare]
     projections: Mapping[str, SeenProjection]
 
     @property
@@ -188,6 +201,7 @@ class Evaluator:
             road_lx_ratio_max=self._road_ratio(result) if due else None,
             oncoming_s=oncoming_s,
             probes=self._probes(result),
+            glare=self._glare(result),
             projections=self._projections(result) if due else {},
         )
         clock.lap("look")
@@ -196,11 +210,22 @@ class Evaluator:
         )
 
     def _probes(self, result: StepResult) -> Mapping[str, float]:
-        if self.world is None or not self.scenario.probes:
+        if (world := self.world) is None or not self.scenario.probes:
             return {}
-        lights = [illuminance_at(self.scenario.probes, self.world, each.start_s, each.lights, each.commands) for each in result.exposures]
-        shares = self.scenario.shares
-        return {name: sum(share * lx[name] for share, lx in zip(shares, lights, strict=True)) for name in self.scenario.probes}
+        return self._mean(result, partial(illuminance_at, self.scenario.probes, world))
+
+    def _glare(self, result: StepResult) -> Mapping[str, Glare]:
+        """Glare in the eyes at probes, by name."""
+        if (world := self.world) is None:
+            return {}
+        eyes = {name: each for name, each in self.scenario.probes.items() if each.adaptation_cd_m2 is not None}
+        veils = self._mean(result, partial(veils_at, eyes, world, age_years=self.scenario.video.age_years))
+        return {name: Glare(veil, threshold_increment(veil, eyes[name].adaptation_cd_m2 or math.nan)) for name, veil in veils.items()}
+
+    def _mean(self, result: StepResult, of: Callable[[float, Lights, Commands], Mapping[str, float]]) -> Mapping[str, float]:
+        """Mean values by name over a step's exposures."""
+        each = [of(exposure.start_s, exposure.lights, exposure.commands) for exposure in result.exposures]
+        return {name: sum(share * values[name] for share, values in zip(self.scenario.shares, each, strict=True)) for name in each[0]}
 
     @cached_property
     def _course(self) -> Course:

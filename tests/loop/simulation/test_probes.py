@@ -77,6 +77,42 @@ def test_frames_ride_along_and_a_probe_of_a_vanished_object_is_empty():
     assert row(first)["probes.ahead.lx"] == found[0]["ahead"]
 
 
+def veil_by_hand(lx: float, deg: float, age_years: float) -> float:
+    """CIE 146:2002, general disability glare equation, of brown eyes (p = 0.5)."""
+    return lx * (10 / deg**3 + (5 / deg**2 + 0.1 * 0.5 / deg) * (1 + (age_years / 62.5) ** 4) + 0.0025 * 0.5)
+
+
+def test_an_oncoming_eye_is_veiled_by_one_lamp_as_by_hand():
+    eye = {"position_m": [50.0, 3.5, 1.1], "facing": [-1.0, 0.0, 0.0], "adaptation_cd_m2": 0.5}
+    head = {"model": "idealised-332x1024", "lamps": ["left"], "distance_m": 0.0}
+    simulation, result = lit({"eye": eye}, headlight=head, lighting={"base": {"beam": "full"}}, video={"age_years": 60.0})
+    (module,) = simulation.world.modules
+    lamp = module.T_body_headlight[:3, 3].double()
+    way = torch.tensor([50.0, 3.5, 1.1], dtype=torch.float64) - lamp
+    deg = math.degrees(math.acos(float(way[0] / way.norm())))
+    veil = veil_by_hand(result.probes["eye"], deg, 60.0)
+    assert result.probes["eye"] > 0.1 and 1 < deg < 10
+    assert result.glare["eye"].veil_cd_m2 == pytest.approx(veil, rel=1e-9)  # the same sum
+    assert result.glare["eye"].ti_percent == pytest.approx(65 * veil / 0.5**0.8, rel=1e-9)
+    assert row(result)["probes.eye.ti_percent"] == result.glare["eye"].ti_percent
+    assert {"probes.eye.veil_cd_m2", "probes.eye.ti_percent"} <= set(schema(simulation).names)
+
+
+def test_an_eye_that_rides_along_tells_masked_from_unmasked_light(tmp_path):
+    car = {"kind": "car", "name": "oncoming", "seed": 1, "path": {"points_m": [[70, 3.5, 0], [20, 3.5, 0]], "speed_m_s": 15.0}}
+    eye = {"frame": "oncoming", "position_m": [0.3, 0.36, 1.2], "facing": [1.0, 0.0, 0.0], "adaptation_cd_m2": 1.0}
+    check = {"metric": "probes.eye.ti_percent", "compare": "full_light", "take": "max", "at_most": 0.1}
+    values = {"objects": [car], "probes": {"eye": eye}, "checks": {"masked": check}, "lighting": {"base": {"beam": "high"}}}
+    mask = {"guard": {"kind": "glare_free"}}
+    result = run(load("gfhb", camera=CAMERA, steps=6, functions=mask, **values), tmp_path / "run", video=False, report=False, checks=True)
+    assert result.summary["checks"]["masked"]["passed"], "a ratio of 0 to 0 would be 1: the eye is dazzled without the mask"
+
+
+def test_an_eye_that_looks_nowhere_is_refused():
+    with pytest.raises(LuxloopError, match=r"probes\.eye.*adaptation_cd_m2.*give facing"):
+        load("gfhb", objects=[], functions={}, probes={"eye": {"position_m": [1, 2, 3], "adaptation_cd_m2": 1.0}})
+
+
 def test_probes_are_columns_that_checks_hold(tmp_path):
     checks = {"seen": {"metric": "probes.eye.lx", "take": "max", "at_most": 1e6}}
     values = {"camera": CAMERA, "steps": 2, "probes": {"eye": {"position_m": [50, 1.75, 1.1]}}, "checks": checks}
