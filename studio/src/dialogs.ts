@@ -1,6 +1,7 @@
 // Dialogs: the keys, and the summary of the runs.
 
-import { h, signButton } from "./dom.ts";
+import { dialog } from "./dialog.ts";
+import { h } from "./dom.ts";
 import { DRIVE_KEYS } from "./drive/index.ts";
 import { flat } from "./flat.ts";
 import { PLACE_KEYS } from "./place/keys.ts";
@@ -32,15 +33,6 @@ const KEYS: [string, string][] = [
   ["?", "this list"],
   ["Esc", "close a list or dialog"],
 ];
-
-function dialog(title: string, body: HTMLElement): HTMLDialogElement {
-  const close = signButton("close", "Close", () => element.close());
-  const element = h("dialog", { "aria-label": title }, h("header", {}, h("h2", {}, title), close), body);
-  element.addEventListener("click", (event) => {
-    if (event.target === element) element.close();
-  });
-  return element;
-}
 
 export function helpDialog(): Dialog {
   const rows = KEYS.map(([key, text]) => h("tr", {}, h("th", { scope: "row" }, h("kbd", {}, key)), h("td", {}, text)));

@@ -44,7 +44,7 @@ export function bindKeys(store: Studio, does: Does): void {
       return;
     }
     if (event.key === " " && target.closest("button, input, summary")) return;
-    if (/^[\w ]$/.test(event.key) && target.closest("select")) return; // which looks for options that begin so
+    if (/^\w$/.test(event.key) && target.closest("select")) return; // which looks for options that begin so
     event.preventDefault();
     if (!event.repeat || "[].".includes(event.key)) act();
   });

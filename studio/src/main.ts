@@ -6,6 +6,7 @@ import { helpDialog, summaryDialog } from "./dialogs.ts";
 import { h } from "./dom.ts";
 import { driveControls } from "./drive/index.ts";
 import { bindKeys } from "./keys.ts";
+import { layout } from "./layout.ts";
 import type { Painting } from "./matrix/painting.ts";
 import { type MatrixPanel, matrixPanel } from "./matrix/panel.ts";
 import { measuring } from "./measure/index.ts";
@@ -56,10 +57,32 @@ const placing = placeThings(store, session, scenes, toasts.show);
 const matrix = matrixPanel(store, session, toasts.show);
 const light = worldLight(store, session, scenes, matrix.painting);
 const measures = measuring(store, session, scenes);
-const main = h("main", {}, scenes.element, cameraPanel(store, measures.onCamera), matrix.element, curvesPanel(store, session));
+const borders = layout(store);
+const main = h(
+  "main",
+  {},
+  scenes.element,
+  borders.columns,
+  cameraPanel(store, measures.onCamera),
+  borders.pictures,
+  matrix.element,
+  borders.rows,
+  curvesPanel(store, session),
+);
 const top = h("header", { class: "top" }, tools.element, notices(store));
-document.body.append(top, main, keysPanel(store, session, toasts.show), measures.element, toasts.element, help.element, summary.element);
+document.body.append(
+  top,
+  main,
+  borders.drawer,
+  keysPanel(store, session, toasts.show),
+  measures.element,
+  toasts.element,
+  help.element,
+  summary.element,
+);
 store.on(["maximised"], ({ maximised }) => main.classList.toggle("maximised", maximised !== null));
+store.on(["keys_open"], ({ keys_open }) => document.body.classList.toggle("drawn", keys_open));
+store.on(["scenario"], toasts.clear);
 store.on(["scenario"], ({ scenario }) => {
   document.title = scenario ? `${scenario.name} - luxloop studio` : "luxloop studio";
 });

@@ -29,6 +29,8 @@ export class Session {
   /** By run, the step that the server has sent again last. */
   #answered: (number | null)[] = [];
   #wanted = "";
+  /** The newest edit that is told as those of others are. */
+  #told = "";
 
   constructor(
     address: { url: string; token: string },
@@ -60,8 +62,12 @@ export class Session {
     if (hasPen(this.store.state)) this.send(message);
   }
 
-  /** Change values of keys, each `key=value`. For sliders and drags as well: an edit at a time is on its way, and then the newest values. */
-  edit(overrides: readonly string[]): void {
+  /**
+   * Change values of keys, each `key=value`. For sliders and drags as well: an edit at a time is on its way, and then the newest values.
+   * tell: from which step on they hold, where no control shows them.
+   */
+  edit(overrides: readonly string[], tell = false): void {
+    if (tell) this.#told = overrides.join();
     if (this.store.state.link === "open") this.#edits.add(overrides);
     else this.toast("There is no connection to the server.");
     this.store.set({ edits_pending: this.#edits.pending });
@@ -191,7 +197,7 @@ export class Session {
         this.#edited(message);
         if (message.run !== 0) return;
         store.set({ answered: store.state.answered + 1 });
-        if (!this.#answer()) this.#tellEdit(message.step, message.overrides);
+        if ([undefined, this.#told].includes(this.#answer()?.join())) this.#tellEdit(message.step, message.overrides);
         return;
       case "schema":
         store.set({ schema: message.schema });

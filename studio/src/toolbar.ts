@@ -115,7 +115,7 @@ function comparison(run: Run, choice: string): string[] | null {
 function keyControls(store: Studio, session: Session): HTMLElement[] {
   const seed = h("input", { type: "number", min: 0, step: 1, "aria-label": "Seed of all noise", class: "seed" });
   seed.addEventListener("change", () => {
-    if (Number.isInteger(seed.valueAsNumber) && seed.valueAsNumber >= 0) session.send({ type: "set", overrides: [`seed=${seed.value}`] });
+    if (Number.isInteger(seed.valueAsNumber) && seed.valueAsNumber >= 0) session.edit([`seed=${seed.value}`]);
     else seed.value = String(store.state.scenario?.seed ?? 0);
   });
   const keys = h("input", {
@@ -131,10 +131,23 @@ function keyControls(store: Studio, session: Session): HTMLElement[] {
   keys.addEventListener("keydown", (event) => {
     if (event.key !== "Enter") return;
     const overrides = words(keys.value);
-    if (overrides.length) session.send(event.shiftKey ? { type: "compare", overrides } : { type: "set", overrides });
+    if (overrides.length === 0) return;
+    if (event.shiftKey) session.send({ type: "compare", overrides });
+    else session.edit(overrides, true);
   });
+  keys.addEventListener("input", () => keys.removeAttribute("aria-invalid"));
+  let source = "";
   store.on(["scenario"], ({ scenario }) => {
-    if (scenario) seed.value = String(scenario.seed);
+    if (!scenario) return;
+    seed.value = String(scenario.seed);
+    if (scenario.source !== source) keys.value = ""; // typed for another scenario
+    source = scenario.source;
+    keys.removeAttribute("aria-invalid");
+  });
+  store.on(["model"], () => keys.removeAttribute("aria-invalid"));
+  store.on(["refused"], ({ refused }) => {
+    if (refused) seed.value = String(store.state.scenario?.seed ?? 0);
+    if (refused?.overrides.join() === words(keys.value).join()) keys.setAttribute("aria-invalid", "true");
   });
   needsPen(store, seed, keys);
   return [h("label", {}, "seed ", seed), h("label", { class: "grows" }, "keys ", keys)];

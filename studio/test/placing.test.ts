@@ -50,8 +50,8 @@ function thing(key: string, model = MODEL): Thing {
   return thingsOf(model, model, NOBODY).find((each) => each.key === key)!;
 }
 
-function moved({ T, changes }: Thing, by: [number, number, number], scale = ONE): Record<string, number> {
-  return Object.fromEntries(changes(new Matrix4().makeTranslation(...by).multiply(T), scale));
+function moved({ T, changes }: Thing, by: [number, number, number], scale = ONE, steps = false): Record<string, number> {
+  return Object.fromEntries(changes(new Matrix4().makeTranslation(...by).multiply(T), scale, steps));
 }
 
 test("a pose is what its matrix is made of, and upright it has no roll", () => {
@@ -107,4 +107,14 @@ test("names that are known get a number", () => {
   assert.equal(unused("car", ["box"]), "car");
   assert.equal(unused("car", ["car"]), "car_2");
   assert.equal(unused("car_2", ["car", "car_2"]), "car_3");
+});
+
+test("what is dragged keeps to steps of 0.1 m and 5 degrees, and what is not dragged stays", () => {
+  const gate = thing("functions.gate");
+  assert.deepEqual(moved(gate, [0.234, 0, 0], ONE, true), { "functions.gate.x_m": 25.2 });
+  assert.deepEqual(moved(gate, [0.234, 0, 0]), { "functions.gate.x_m": 25.234 });
+  const turned = gate.changes(matrixOf({ x: 25, y: 1, z: 1.5, pitch: -90, yaw: 43 }), ONE, true);
+  assert.deepEqual(Object.fromEntries(turned), { "functions.gate.yaw_deg": 45 });
+  const tiny = gate.changes(gate.T, new Vector3(0.01, 1, 1), true);
+  assert.ok(tiny.every(([, value]) => value > 0));
 });

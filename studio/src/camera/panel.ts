@@ -1,6 +1,6 @@
 // The camera's picture with the light on or off, their difference, the extracted symbol, and marks.
 
-import { h, select, toggle } from "../dom.ts";
+import { fill, h, select, toggle } from "../dom.ts";
 import { panel } from "../panels.ts";
 import { runSwitch } from "../runs.ts";
 import type { Look, Studio } from "../state.ts";
@@ -106,8 +106,15 @@ export function cameraPanel(store: Studio, onPixel: (pixel: { u: number; v: numb
   bar.append(runSwitch(store, "camera_run"), frames, marksToggle.button, symbolToggle.button);
   body.append(view.canvas, empty, notes, legend, readout);
   store.on(["scenario", "camera_run"], ({ scenario, camera_run }) => {
-    const camera = scenario?.runs[camera_run]?.camera;
-    if (camera) view.setContent(camera.width, camera.height);
+    const run = scenario?.runs[camera_run];
+    if (!run) return;
+    view.setContent(run.camera.width, run.camera.height);
+    // Without a symbol that a controller holds, there is no frame with the light off.
+    const offered = Object.keys(run.controllers).length > 0 ? FRAMES : FRAMES.slice(0, 1);
+    fill(frames, offered);
+    if (offered.some(([each]) => each === frame)) return;
+    frame = "on";
+    choose();
   });
   store.on(["camera_version", "camera_run", "runs"], changed);
   store.on(["maximised"], view.redraw);

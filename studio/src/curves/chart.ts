@@ -86,8 +86,7 @@ export class Chart {
       key.style.background = COLOURS[k % COLOURS.length];
       return h("li", { title }, key, h("span", { class: "name" }, label), ...this.#numbers[k]);
     });
-    const unit = this.group.unit && this.group.unit !== "1" ? h("span", { class: "muted" }, ` ${this.group.unit}`) : null;
-    return h("figcaption", {}, h("h3", {}, this.group.title, unit), h("ul", names.length > MANY ? { tabindex: 0 } : {}, ...names));
+    return h("figcaption", {}, h("h3", {}, this.group.title), h("ul", names.length > MANY ? { tabindex: 0 } : {}, ...names));
   }
 
   #write(): void {
@@ -104,6 +103,7 @@ export class Chart {
 
   #options(): uPlot.Options {
     const axis: uPlot.Axis = { stroke: INK, font: FONT, grid: { stroke: GRID, width: 1 }, ticks: { show: false }, gap: 3 };
+    const { unit } = this.group; // the quantity is the title
     const series = this.group.curves.flatMap(({ label }, k) =>
       Array.from({ length: this.runCount }, (_, run): uPlot.Series => {
         return {
@@ -130,8 +130,14 @@ export class Chart {
         },
       },
       axes: [
-        { ...axis, size: 22, space: 50, values: (_, ticks) => ticks.map((each) => `${+each.toFixed(3)} s`) },
-        { ...axis, size: 42, space: 22, values: (_, ticks) => ticks.map((each) => `${+each.toPrecision(6)}`) },
+        { ...axis, ...named("time in s"), size: 20, space: 50, values: (_, ticks) => ticks.map((each) => `${+each.toFixed(3)}`) },
+        {
+          ...axis,
+          ...(unit && unit !== "1" && named(`in ${unit}`)),
+          size: 40,
+          space: 22,
+          values: (_, ticks) => ticks.map((each) => `${+each.toPrecision(6)}`),
+        },
       ],
       series: [{}, ...series],
       hooks: {
@@ -169,6 +175,10 @@ export class Chart {
     ctx.stroke();
     ctx.restore();
   }
+}
+
+function named(label: string): Partial<uPlot.Axis> {
+  return { label, labelFont: FONT, labelSize: 14, labelGap: 0 };
 }
 
 /** Points without neighbours, which no line would show: values that come every few steps. */

@@ -1,5 +1,6 @@
 // Somebody drives: keyboard and gamepad steer the car, and its light switch the base beam.
 
+import { confirm } from "../dialog.ts";
 import { h } from "../dom.ts";
 import type { StepMessage } from "../protocol.ts";
 import type { ScenesPanel } from "../scenes/panel.ts";
@@ -77,10 +78,16 @@ class Driving {
     const { driving, model } = this.store.state;
     if (driving) this.#end();
     else if (model?.vehicle) this.#begin();
-    else if (confirm("The car stands in this scenario. Put it on wheels? The run starts anew.")) {
+    else this.#putOnWheels();
+  }
+
+  #putOnWheels(): void {
+    const { status } = this.store.state;
+    const ends = status?.recording ? ` The recording into runs/${status.recording} ends.` : "";
+    confirm("The car stands in this scenario", `To drive, it is put on wheels. The run starts anew.${ends}`, "Put it on wheels", () => {
       this.#due = true;
       this.session.edit([WHEELS]);
-    }
+    });
   }
 
   #begin(): void {
@@ -108,6 +115,7 @@ class Driving {
 
   #show(driving: boolean): void {
     this.#hud.hidden = !driving;
+    this.#speed.textContent = driving ? this.#speed.textContent || kmh(this.#initial()) : "";
     this.#button.setAttribute("aria-pressed", String(driving));
     this.#release();
     if (this.#timer !== null) clearInterval(this.#timer);
@@ -183,6 +191,12 @@ class Driving {
     this.session.edit([`lighting.base.beam="${beam}"`]);
   }
 
+  /** Speed in m/s that the car has before a step tells it. */
+  #initial(): number {
+    const vehicle = this.store.state.model?.vehicle as { course: { speed_m_s: number }[] } | null | undefined;
+    return vehicle?.course[0]?.speed_m_s ?? 0;
+  }
+
   /** Speed between the last two steps that came. */
   #tell(): void {
     const { shown } = this.store.state.runs[0] ?? {};
@@ -191,7 +205,7 @@ class Driving {
     this.#last = shown;
     if (!last || shown.time_s <= last.time_s) return;
     const way_m = Math.hypot(shown.T_world_ground[3] - last.T_world_ground[3], shown.T_world_ground[7] - last.T_world_ground[7]);
-    this.#speed.textContent = `${((3.6 * way_m) / (shown.time_s - last.time_s)).toFixed(0)} km/h`;
+    this.#speed.textContent = kmh(way_m / (shown.time_s - last.time_s));
   }
 }
 
@@ -201,6 +215,10 @@ const TITLES: Record<Beam, string> = {
   auto: "The beam that speed, rain and street lighting ask for (l)",
   high: "High beam (h); f flashes",
 };
+
+function kmh(speed_m_s: number): string {
+  return `${(3.6 * speed_m_s).toFixed(0)} km/h`;
+}
 
 function round(share: number): number {
   return Math.round(100 * share) / 100;

@@ -44,6 +44,7 @@ export function keysPanel(store: Studio, session: Session, toast: (sentence: str
     note.hidden = hasPen(state) || state.link !== "open";
     note.textContent = state.role === "watch" ? "You watch: values can be read, but not changed." : "Take the pen to change values.";
   });
+  store.on(["scenario"], clearRefused);
   store.on(["refused"], ({ refused }) => {
     if (refused && !showRefused(content, refused)) toast(refused.text);
   });

@@ -3,7 +3,7 @@
 import { Box3, type Matrix4, Vector3 } from "three";
 import { unitOf } from "../model/numbers.ts";
 import { valueAt } from "../model/overrides.ts";
-import { type Component, matrixOf, type Pose, poseOf, rounded } from "./poses.ts";
+import { type Component, matrixOf, type Pose, poseOf, rounded, stepped } from "./poses.ts";
 import type { Change, Figure, Thing } from "./thing.ts";
 
 export type Size = "length" | "width" | "height";
@@ -59,7 +59,7 @@ export function keyed(
       turn: [given.has("roll") && "X", given.has("pitch") && "Y", given.has("yaw") && "Z"].filter(Boolean).join(""),
       scale: SIZES.map((each, k) => (given.has(each) ? "XYZ"[k] : "")).join(""),
     },
-    changes: (moved, scale) => changed(keys, whole, at, moved, scale, lift),
+    changes: (moved, scale, steps = false) => changed(keys, whole, at, moved, scale, lift, steps),
     figures: [...named(keys, whole), ...others.map((name) => figure(thing.key, name))],
   };
 }
@@ -78,6 +78,7 @@ function changed(
   T: Matrix4,
   scale: Vector3,
   lift: number,
+  steps: boolean,
 ): Change[] {
   const pose = poseOf(T);
   pose.z -= lift;
@@ -86,7 +87,10 @@ function changed(
     const key = keys[component];
     if (key === undefined) return;
     const next = rounded(component, value);
-    if (next !== rounded(component, at(component) ?? Number.NaN)) found.push([whole(key), next]);
+    if (next === rounded(component, at(component) ?? Number.NaN)) return;
+    const step = stepped(component, next);
+    const vanishes = step === 0 && SIZES.some((each) => each === component);
+    found.push([whole(key), steps && !vanishes ? step : next]);
   };
   for (const component of POSE) put(component, pose[component]);
   SIZES.forEach((each, k) => put(each, Math.max((at(each) ?? 0) * Math.abs(scale.getComponent(k)), Math.min(LEAST, at(each) ?? LEAST))));

@@ -8,6 +8,7 @@ export const PLACE_KEYS: [string, string][] = [
   ["e", "list what can be chosen and moved in the scene"],
   ["Click, Shift+click", "in the scene: choose, choose more; drag what is chosen over the road"],
   ["g, t, b", "handles that move, turn or change the size of what is chosen"],
+  ["Ctrl while dragging", "no steps of 0.1 m and 5°"],
   ["Delete, Shift+D", "remove or duplicate what is chosen"],
   ["Enter, Esc", "end a way of points; leave what is begun, or choose nothing"],
 ];

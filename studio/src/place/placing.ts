@@ -31,6 +31,8 @@ interface Drag {
 export class Placing {
   things: Thing[] = [];
   clicking: Clicking | null = null;
+  /** Whether places and angles are free, not in steps. */
+  free = false;
   /** Called after each change of things or of what clicks do. */
   onChange: (() => void)[] = [];
   readonly gizmo: Gizmo;
@@ -180,7 +182,7 @@ export class Placing {
     for (const { thing, T_base, before } of drag.parts) {
       const now = new Map(before);
       const T = this.frame(FRAMES[thing.sort]).invert().multiply(T_local_base).multiply(T_base);
-      for (const [key, value] of thing.changes(T, scale)) {
+      for (const [key, value] of thing.changes(T, scale, !this.free && drag.parts.length === 1)) {
         if (!before.has(key)) before.set(key, Number(valueAt(this.store.state.model, key)));
         now.set(key, value);
       }

@@ -19,6 +19,9 @@ export function bindPointer(placing: Placing): void {
 
   // Before the orbit camera and the gizmo, which listen for the same events.
   const capture = { capture: true };
+  for (const event of ["pointerdown", "pointermove"] as const) {
+    canvas.addEventListener(event, ({ ctrlKey }) => (placing.free = ctrlKey), capture);
+  }
   canvas.addEventListener(
     "pointerdown",
     (event) => {

@@ -23,6 +23,15 @@ export function poseOf(T: Matrix4): Pose {
   return Object.fromEntries([...AXES.map((axis) => [axis, position[axis]] as const), ...angles]) as Pose;
 }
 
+/** Steps that dragging keeps to. */
+const STEPS = { m: 0.1, deg: 5 } as const;
+
+/** To a tenth of a metre or five degrees. */
+export function stepped(component: string, value: number): number {
+  const step = ANGLES.includes(component as (typeof ANGLES)[number]) ? STEPS.deg : STEPS.m;
+  return rounded(component, step * Math.round(value / step));
+}
+
 /** To the millimetre or a hundredth of a degree, so that keys stay short. */
 export function rounded(component: string, value: number): number {
   const digits = ANGLES.includes(component as (typeof ANGLES)[number]) ? 2 : 3;

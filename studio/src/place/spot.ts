@@ -3,7 +3,9 @@
 import { Matrix4, Vector3 } from "three";
 import type { Table } from "../model/overrides.ts";
 import type { Placing } from "./placing.ts";
-import { poseOf, rounded } from "./poses.ts";
+import { poseOf, rounded, stepped } from "./poses.ts";
+
+const LEVEL = 0.99; // least upward part of the normal of a surface on which places are in steps; beside others a step would leave it
 
 /** Where it is added. ground: below the car; facing: yaw in degrees of the way back to the car. */
 export interface Spot {
@@ -28,17 +30,15 @@ export function spotAt(placing: Placing, x: number, y: number): Spot | null {
   const local = new Vector3(...hit.point).applyMatrix4(T_world_local.clone().invert());
   const normal = new Vector3(...hit.normal).transformDirection(T_ground_local);
   const heading = poseOf(T_world_local.clone().multiply(T_local_ground));
+  const place = placing.free || normal.z < LEVEL ? rounded : stepped;
+  const at = ({ x, y, z }: Vector3): [number, number, number] => [place("x", x), place("y", y), rounded("z", z)];
   return {
-    ground: rounds(local.clone().applyMatrix4(T_ground_local)),
-    world: rounds(local.clone().applyMatrix4(T_world_local)),
+    ground: at(local.clone().applyMatrix4(T_ground_local)),
+    world: at(local.clone().applyMatrix4(T_world_local)),
     heading_deg: heading.yaw,
     lies: lying(normal),
     object: placing.tableOf(hit.object),
   };
-}
-
-function rounds({ x, y, z }: Vector3): [number, number, number] {
-  return [rounded("x", x), rounded("y", y), rounded("z", z)];
 }
 
 /** Attitude of a rectangle with this normal whose first row is on top. */

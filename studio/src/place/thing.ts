@@ -36,8 +36,8 @@ export interface Thing {
   placed: boolean;
   /** Things that are a part of another are shown only while that or another part of it is chosen. */
   partOf: string | null;
-  /** What is changed by another pose in its frame, and by a scale along its axes. */
-  changes(T: Matrix4, scale: Vector3): Change[];
+  /** What is changed by another pose in its frame, and by a scale along its axes, in whole steps or by any amount. */
+  changes(T: Matrix4, scale: Vector3, steps?: boolean): Change[];
   figures: Figure[];
 }
 

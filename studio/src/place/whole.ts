@@ -3,7 +3,7 @@
 import { Box3, Matrix4, Vector3 } from "three";
 import { valueAt } from "../model/overrides.ts";
 import { figure, type Said } from "./keyed.ts";
-import { rounded } from "./poses.ts";
+import { rounded, stepped } from "./poses.ts";
 import type { Change, Thing } from "./thing.ts";
 
 export interface Shifted extends Said {
@@ -27,8 +27,9 @@ export function shifted(model: unknown, { points, T, bounds, others = [], partOf
     way: points.map((key) => pointAt(model, key).applyMatrix4(now.clone().invert())),
     bounds: bounds ?? new Box3(),
     axes: { move: "XY", turn: "", scale: "" },
-    changes: (moved) => {
+    changes: (moved, _, steps = false) => {
       const by = new Vector3().setFromMatrixPosition(moved).sub(from);
+      if (steps) by.set(...(by.toArray().map((each) => stepped("x", each)) as [number, number, number]));
       return points.flatMap((key) => movedPoint(model, key, by));
     },
     figures: others.map((name) => figure(thing.key, name)),

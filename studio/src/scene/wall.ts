@@ -19,6 +19,10 @@ import { WALL_M } from "./viewpoints.ts";
 const WALL_DEG = { side: 40, bottom: -25, top: 25 };
 const GRID_DEG = { step: 5, side: 30, bottom: -10, top: 10 };
 const LABELLED_DEG = { row: -7.6, column: -22.2 };
+const AXES = [
+  { h: 0, v: -9, text: "horizontal angle to the right" },
+  { h: -22.2, v: 7.4, text: "angle up" },
+];
 const BEFORE_M = 0.02; // by which lines stand before the wall
 
 // Blue and orange differ for colour-blind readers as well; the symbols say the same again.
@@ -73,6 +77,7 @@ export class Wall {
     const colour = "#b8c8d8";
     for (let h = -20; h <= 20; h += GRID_DEG.step) angles.push({ at: this.at(h, LABELLED_DEG.row), text: signed(h), colour });
     for (let v = -5; v <= 5; v += GRID_DEG.step) angles.push({ at: this.at(LABELLED_DEG.column, v), text: signed(v), colour });
+    for (const { h, v, text } of AXES) angles.push({ at: this.at(h, v), text, colour });
     const points = this.points.flatMap((point) => (point.where ? [this.label(point, point.where)] : []));
     return [...angles, ...points].map((label) => ({ ...label, at: label.at.applyMatrix4(this.group.matrix) }));
   }

@@ -48,8 +48,9 @@ def chromium(profile: Path) -> Iterator[webdriver.Chrome]:
 
 
 def visit(browser: webdriver.Chrome, served: Served, token: str | None = None) -> webdriver.Chrome:
-    """Open the page, and wait for the first step in all views."""
+    """Open the page as nobody has left it, and wait for the first step in all views."""
     browser.get("about:blank")
+    browser.execute_cdp_cmd("Storage.clearDataForOrigin", {"origin": f"http://127.0.0.1:{served.port}", "storageTypes": "local_storage"})
     browser.get(f"http://127.0.0.1:{served.port}/#{token or served.tokens.edit}")
     until(browser, "return (window.luxloop?.scenes ?? []).length > 0 && document.body.innerText.includes('step 0')")
     return browser

@@ -59,7 +59,8 @@ def test_keys_drive_the_car_and_switch_its_light(browser, car):
 
 
 @pytest.mark.slow
-def test_a_car_that_stands_is_put_on_wheels(browser, car):
+def test_a_car_that_stands_is_put_on_wheels_once_one_agrees(browser, car, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # where the recording is
     browser.get("about:blank")
     with watching(car.port, car.tokens.edit) as other:
         other.of("scenario")
@@ -68,8 +69,18 @@ def test_a_car_that_stands_is_put_on_wheels(browser, car):
         other.until(lambda head: head["type"] == "scenario" and head["model"]["vehicle"] is None)
     visit(browser, car)
     until(browser, f"return !{BUTTON}.disabled && luxloop.store.state.model.vehicle === null")
-    browser.execute_script(f"window.confirm = () => true; {BUTTON}.click()")
+    one(browser, ".record").click()
+    until(browser, "return luxloop.store.state.status.recording")
+    for key in (Keys.ESCAPE, Keys.ENTER):
+        assert car.scenario.vehicle is None
+        browser.execute_script(f"{BUTTON}.click()")
+        text = one(browser, "dialog[open]").text
+        assert "starts anew" in text and f"runs/{car.studio.session.state.recording} ends" in text
+        assert browser.switch_to.active_element.text == "Put it on wheels"
+        browser.switch_to.active_element.send_keys(key)
+        until(browser, "return document.querySelector('dialog[open]') === null")
     until(browser, "return luxloop.store.state.model.vehicle?.course[0].speed_m_s === 0")
-    until(browser, "return luxloop.store.state.driving && luxloop.store.state.runs[0].newest > 1")
+    until(browser, "return luxloop.store.state.driving && document.querySelector('.drive-speed').textContent === '0 km/h'")
+    until(browser, "return luxloop.store.state.runs[0].newest > 1")
     press(browser, Keys.ESCAPE)
     until(browser, "return !luxloop.store.state.driving")
