@@ -81,6 +81,7 @@ class Run:
         self._state = simulation.start()
         self._reached = self._state, simulation.scenario  # after the last step, before edits
         self._kept, self._forgotten = 0, 0
+        self._pictures = set[str]()  # names of those that any snapshot has had
         self.bodies = NOTHING  # of the newest snapshot
         self._sources: tuple[Snapshot, Mapping[int, emitters.Source]] | None = None
         self._below: Sequence[Utilisation] | None = None  # light of the last step without paint
@@ -137,7 +138,7 @@ class Run:
 
     def with_pictures(self, seen: Snapshot, wanted: Collection[View]) -> Snapshot:
         """Snapshot with the wanted pictures, or a recording's stored frames; else the last earlier one with them, or itself."""
-        names = {PICTURES[view] for view in ("camera", "off") if view in wanted}
+        names = {PICTURES[view] for view in ("camera", "off") if view in wanted} & self._pictures
         if names <= seen.pictures.keys():
             return seen
         if self.playback is not None and (kept := self.playback.pictures(seen.step)):
@@ -188,7 +189,9 @@ class Run:
 
     def _take_snapshot(self, simulation: Simulation, result: Evaluation, before: Snapshot | None, wanted: Collection[View]) -> Snapshot:
         self.bodies = bodies_at(simulation, result.time_s, self.bodies)
-        return snapshot(simulation, result, self.meshes.assign(self.bodies.placed), before, wanted)
+        taken = snapshot(simulation, result, self.meshes.assign(self.bodies.placed), before, wanted)
+        self._pictures |= taken.pictures.keys()
+        return taken
 
     def prepare_edit(self, scenario: Scenario) -> tuple[Simulation, SimulationState]:
         """Simulation and state for another scenario. Raises LuxloopError."""

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.world.spmv import Csr, multiply, row_of_entries, segment_bounds, zeros
+from luxloop.world.spmv import Csr, multiply, row_bounds, zeros
 from luxloop.world.texels import TexelGrid, bilinear
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of the channels of linear sRGB
@@ -92,12 +92,14 @@ class Headlight(TexelGrid):
     @cached_property
     def _pixels_of_rows(self) -> tuple[Tensor, Tensor]:
         """The first and the last pixel that lights each row of texels, both `[rows]`."""
-        return segment_bounds(row_of_entries(self.matrix) // self.cols, self.matrix.indices, self.rows)
+        first, last = row_bounds(self.matrix, self.matrix.indices)
+        return first.view(self.rows, self.cols).amin(1), last.view(self.rows, self.cols).amax(1)
 
     @cached_property
     def _pixel_cols_of_cols(self) -> tuple[Tensor, Tensor]:
         """The first and the last column of pixels that lights each column of texels, both `[cols]`."""
-        return segment_bounds(row_of_entries(self.matrix) % self.cols, self.matrix.indices % self.pixel_cols, self.cols)
+        first, last = row_bounds(self.matrix, self.matrix.indices % self.pixel_cols)
+        return first.view(self.rows, self.cols).amin(0), last.view(self.rows, self.cols).amax(0)
 
     def colour_texture(self, utilisation: Tensor) -> Tensor:
         """Light texture in linear sRGB, `[..., 3, rows, cols]` in cd, one matrix product per channel; its luminance is `light_texture` (T
