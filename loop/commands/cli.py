@@ -222,7 +222,7 @@ def run(
     twin: Flag = False,
     device: Device = "auto",
     video: bool = True,
-    view: Literal["camera", "driver", "chase", "above"] | None = None,
+    view: Literal["camera", "driver", "chase", "above", "oncoming"] | None = None,
     probe: list[str] | None = None,
     report: bool = True,
     frames: Flag = False,

@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 
 from luxloop.loop.recording.video import NOISY_CRF, VideoWriter
-from luxloop.loop.report.onlooker import Onlooker
+from luxloop.loop.report.onlooker import Onlooker, first_oncoming
 from luxloop.loop.report.picture import frame_picture, white_of
-from luxloop.loop.report.views import above, chase, driver
+from luxloop.loop.report.views import above, chase, driver, oncoming
 from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.result import mean_lights
 from luxloop.loop.simulation.simulation import Simulation
@@ -19,7 +19,7 @@ from luxloop.world.errors import locate
 CAMERA_HZ = 10  # slower than most loops, so that single steps are visible
 CLEAN_CRF = 20
 ROUNDING_S = 1e-9
-VIEWS = {"driver": driver, "chase": chase, "above": above}
+VIEWS = {"driver": driver, "chase": chase, "above": above, "oncoming": oncoming}
 
 
 class Film(VideoWriter):
@@ -37,7 +37,8 @@ class Film(VideoWriter):
             view, rate_hz = VIEWS[wanted.view](wanted.width_px), wanted.rate_hz
             size = view.width, view.height
             with locate(f"video.view = {wanted.view!r}"):
-                self._onlooker = Onlooker.of(simulation, view, with_car=wanted.view != "driver")
+                rides = first_oncoming(simulation) if wanted.view == "oncoming" else None
+                self._onlooker = Onlooker.of(simulation, view, with_car=wanted.view != "driver", rides=rides)
         self._exposure_ev, self._rate_hz, self._frames = wanted.exposure_ev, rate_hz, 0
         super().__init__(path, rate_hz, size, NOISY_CRF if self._onlooker is None else CLEAN_CRF)
 

@@ -15,9 +15,10 @@ from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import LitScene, World
 from luxloop.perception.eye import develop, smooth, veil
 from luxloop.world.caches import Part
+from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import View, inverse, pose_from_degrees, transform
 from luxloop.world.headlight import Headlight
-from luxloop.world.headlight.lamp import Commands
+from luxloop.world.headlight.lamp import REST, Commands
 from luxloop.world.headlight.matrix import LUMINANCE
 from luxloop.world.light.emitters import spot_intensity
 from luxloop.world.rendering.gbuffer import GBuffer
@@ -31,7 +32,7 @@ from luxloop.world.traffic.tracked import KeyframeParams
 LAMP_M: Final = 0.3  # by which a lamp's point lies inside its body
 NOSE_M: Final = 0.05  # from the own car's lamps to its front end
 EDGE_M: Final = 0.4  # of the asphalt beyond a lane
-BEHIND_M: Final = 20.0  # behind the car up to which the road is seen
+BEHIND_M: Final = (20.0, 80.0)  # behind the car up to which the road is seen: from behind it, and by those who come towards it
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,8 @@ class Onlooker:
     """A person's view of a world, on the CPU.
 
     view: in the ground frame. duration_s: of the drive, whose course has the lane and one for oncoming traffic on its left, between grass.
-    with_car: whether the own car is in sight.
+    with_car: whether the own car is in sight. rides: name of the object in whose frame the view is instead; its body is not seen, and the
+    own lamps dazzle.
     """
 
     world: World
@@ -60,13 +62,14 @@ class Onlooker:
     lane_width_m: float
     age_years: float = 40.0
     with_car: bool = False
+    rides: str | None = None
 
     @classmethod
-    def of(cls, simulation: Simulation, view: View, with_car: bool = False) -> "Onlooker":
+    def of(cls, simulation: Simulation, view: View, with_car: bool = False, rides: str | None = None) -> "Onlooker":
         """A view of a simulation's world. Raises LuxloopError if the plant does not know it."""
         scenario = simulation.scenario
         duration_s = scenario.steps / scenario.rate_hz
-        return cls(simulation.world, view, duration_s, scenario.surface.lane_width_m, scenario.video.age_years, with_car)
+        return cls(simulation.world, view, duration_s, scenario.surface.lane_width_m, scenario.video.age_years, with_car, rides)
 
     def light(self, time_s: float, lights: Sequence[Tensor], commands: Commands = ()) -> Tensor:
         """Light `[3, H, W]` in cd/m^2 that enters the eye, linear sRGB, without glare; its luminance is what a camera there
@@ -79,7 +82,7 @@ class Onlooker:
     def picture(self, time_s: float, lights: Sequence[Tensor], commands: Commands, exposure_ev: float) -> np.ndarray:
         """sRGB picture `[H, W, 3]` uint8 of the light on the retina."""
         lit = self._lit(time_s)
-        shown = smooth(develop(self._light(lit, lights, commands) + self._glare(lit), exposure_ev))
+        shown = smooth(develop(self._light(lit, lights, commands) + self._glare(lit, lights, commands), exposure_ev))
         return (255 * shown).round().byte().movedim(0, -1).cpu().numpy()
 
     @cached_property
@@ -90,23 +93,37 @@ class Onlooker:
         return Instance(len(self.world.scene.bodies), body, pose_from_degrees((-NOSE_M - float(body.bounds[1, 0]), 0.0, 0.0)))
 
     def _lit(self, time_s: float) -> LitScene:
-        lit = self.world.through(self.view, time_s)
+        lit = self.world.through(self._view_from_ground(time_s), time_s)
         if not self.with_car:
             return lit
         own = replace(self._own_car, T_world_body=lit.vehicle.T_world_body @ self._own_car.T_world_body)
-        everybody = Triangles((*lit.triangles.groups, Group((*self._road_behind(lit), own))))
+        everybody = Triangles((*self._others(lit).groups, Group((*self._road_behind(lit), own))))
 
         def render(_: Triangles, view: View, part: Part | None) -> GBuffer:
             return self.world.surfaces.gbuffer(everybody, view, part)
 
         return replace(lit, render=render)
 
+    def _view_from_ground(self, time_s: float) -> View:
+        if self.rides is None:
+            return self.view
+        track = next(each.track for each in self.world.scene.objects if each.name == self.rides)
+        T_ground_object = inverse(self.world.motion.at(time_s).T_world_ground) @ track.pose_at(time_s)
+        return replace(self.view, T_world_view=T_ground_object @ self.view.T_world_view)
+
+    def _others(self, lit: LitScene) -> Triangles:
+        """All bodies but the one that carries the eye."""
+        if self.rides is None:
+            return lit.triangles
+        groups = (Group(tuple(each for each in group.placed if each.body.name != self.rides)) for group in lit.triangles.groups)
+        return Triangles(tuple(group for group in groups if group.placed))
+
     def _road_behind(self, lit: LitScene) -> tuple[Instance, ...]:
         """Parts of the road that only somebody behind the car sees."""
         road, T_world_ground = self.world.scene.bodies[0], lit.vehicle.T_world_ground
         if not isinstance(road, Ground):
             return ()
-        near = road.near(0, T_world_ground @ pose_from_degrees((-BEHIND_M, 0.0, 0.0)))
+        near = road.near(0, T_world_ground @ pose_from_degrees((-BEHIND_M[self.rides is not None], 0.0, 0.0)))
         T_ground_world = inverse(T_world_ground)
         return tuple(each for each in near if each not in lit.triangles.placed and transform(T_ground_world, each.box.T)[0].mean() < 0)
 
@@ -152,15 +169,33 @@ class Onlooker:
     def _course(self) -> Course:
         return Course.of(self.world.motion, self.duration_s)
 
-    def _glare(self, lit: LitScene) -> Tensor:
-        """Veil `[H, W]` in cd/m^2 of the lamps of others that shine into the eye."""
+    def _glare(self, lit: LitScene, lights: Sequence[Tensor], commands: Commands) -> Tensor:
+        """Veil `[H, W]` in cd/m^2 of the lamps that shine into the eye: those of others, and the own ones if the eye rides along."""
         spots = lit.scene.spotlights_at(lit.time_s)
-        if not spots:
+        to_eye = [(spot.position.double(), lit.eye.origin - spot.position) for spot in spots]
+        cd = [float(spot_intensity(spot, ray.float()[:, None])) for spot, (_, ray) in zip(spots, to_eye, strict=True)]
+        if self.rides is not None:
+            for module, u, command in zip(lit.modules, lights, commands or (REST,) * len(lights), strict=True):
+                T = lit.vehicle.T_world_body @ command.turn(module.T_body_headlight).double().cpu()
+                ray = T[:3, :3].T @ (lit.eye.origin - T[:3, 3])
+                texture = module.textures.light_texture(u).cpu()
+                to_eye.append((T[:3, 3], ray))
+                cd.append(command.intensity * float(module.headlight.intensity(texture, ray[:, None])))
+        if not cd:
             return torch.zeros(self.view.height, self.view.width)
-        places = torch.stack([spot.position for spot in spots], 1)
+        places = torch.stack([place for place, _ in to_eye], 1)
         away = transform(inverse(lit.eye.T_world_view), places)  # in the view, [3, n]
-        seen = torch.nonzero(sees(lit.triangles, lit.eye.origin, places, LAMP_M) & (away[2] > 0))[:, 0].tolist()
-        to_eye = (lit.eye.origin[:, None] - places).float()
-        cd = torch.tensor([float(spot_intensity(spots[k], to_eye[:, k, None])) for k in seen])
-        lx = cd * away[2, seen].float() / away[:, seen].norm(dim=0).float() ** 3  # E = I cos / d^2
+        seen = sees(self._others(lit), lit.eye.origin, places, LAMP_M) & (away[2] > 0)
+        lx = torch.tensor(cd)[seen] * away[2, seen].float() / away[:, seen].norm(dim=0).float() ** 3  # E = I cos / d^2
         return veil(lit.eye, places[:, seen], lx, self.age_years)
+
+
+def first_oncoming(simulation: Simulation) -> str:
+    """Name of the first car that comes towards the own one at the start. Raises LuxloopError if there is none."""
+    world = simulation.world
+    T_ground_world = inverse(world.motion.at(0.0).T_world_ground)
+    for given, body in zip(world.given, world.scene.objects, strict=True):
+        T = T_ground_world @ body.track.pose_at(0.0)
+        if given.category == "car" and float(T[0, 0]) < 0 < float(T[0, 3]):
+            return body.name
+    raise LuxloopError("no car comes towards the own one at the start; add one, or choose another view")

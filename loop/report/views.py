@@ -176,6 +176,11 @@ def driver(width_px: int = 1280) -> View:
     return _pinhole((-1.5, 0.36, 1.2), 4.0, 0.0, 40.0, width_px)
 
 
+def oncoming(width_px: int = 1280) -> View:
+    """The view of the driver of another car, who sits on the left, in the frame of that car: as of `driver`."""
+    return _pinhole((0.3, 0.36, 1.2), 4.0, 0.0, 40.0, width_px)
+
+
 def beside(width_px: int = 960) -> View:
     """The view from behind, above and to the left of the car, for beams in fog: 56 deg wide, 16 : 9."""
     return _pinhole((-10.5, 6.5, 3.4), 8.0, -27.0, 56.0, width_px)

@@ -82,7 +82,7 @@ class LightParams(Params):
 class VideoParams(Params):
     """The run's video."""
 
-    view: Literal["camera", "driver", "chase", "above"] = Field(
+    view: Literal["camera", "driver", "chase", "above", "oncoming"] = Field(
         "camera",
         description="camera: the camera's frames with boxes and outlines, one a step; others: in colour what people see",
     )

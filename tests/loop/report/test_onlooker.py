@@ -1,5 +1,6 @@
 """People's views: the camera's luminances in colour, glare of others, the own car, and a film at its own rate."""
 
+import math
 from dataclasses import replace
 
 import av
@@ -9,8 +10,8 @@ import torch
 
 from luxloop import LuxloopError, Simulation, load, run
 from luxloop.loop.report.film import Film
-from luxloop.loop.report.onlooker import Onlooker
-from luxloop.loop.report.views import chase, driver
+from luxloop.loop.report.onlooker import Onlooker, first_oncoming
+from luxloop.loop.report.views import chase, driver, oncoming
 from luxloop.loop.simulation.result import mean_lights
 from luxloop.world.headlight.matrix import LUMINANCE
 from luxloop.world.lamps.archive import save
@@ -102,6 +103,38 @@ def test_coloured_edges_of_a_lamp_are_seen_at_the_same_luminance(tmp_path):
     assert torch.allclose((WEIGHT * light).sum(0)[there], expected[there], rtol=1e-3, atol=1e-6)
     road = (simulation.world.lit(0.0).surfaces.object_id == 0) & (expected > 0.01)
     assert float((light[0] / light[2])[road].std()) > 0.01, "edges have colours"
+
+
+def test_an_oncoming_driver_is_veiled_by_the_own_lamps():
+    axis = [math.cos(math.radians(4)), 0.0, -math.sin(math.radians(4))]  # of the view
+    eye = {"frame": "oncoming_car", "position_m": [0.3, 0.36, 1.2], "facing": axis, "adaptation_cd_m2": 1.0}
+    one = [
+        "headlight.model=idealised-332x1024",
+        'headlight.lamps=["left"]',
+        "lighting.base.beam=full",
+        "functions={}",
+        "checks={}",
+        "steps=1",
+    ]
+    simulation = Simulation.prepare(load("gfhb", one, camera=CAMERA, probes={"eye": eye}, video={"age_years": 40.0}))
+    result = simulation.evaluate(simulation.step(simulation.start())[1])
+    view, lights = oncoming(241), [each.u for each in result.exposures[0].lights]
+    onlooker = Onlooker.of(simulation, view, with_car=True, rides=first_oncoming(simulation))
+    veiled = onlooker._glare(onlooker._lit(0.0), lights, ())
+    middle = float(veiled[view.height // 2, view.width // 2])
+    assert result.glare["eye"].veil_cd_m2 > 1
+    # 5 %: the pixel's middle is 0.08 deg from the axis, the lamp 4 deg, and the veil falls with the square
+    assert middle == pytest.approx(result.glare["eye"].veil_cd_m2, rel=0.05)
+    masked = onlooker._glare(onlooker._lit(0.0), [0 * u for u in lights], ())
+    assert float(masked[view.height // 2, view.width // 2]) < 0.01 * middle, "but for the lamps of others"
+    lit = onlooker._lit(0.0)
+    away = (lit.surfaces.position - lit.eye.origin[:, None, None].float()).norm(dim=0)
+    assert float(away[lit.surfaces.object_id >= 0].min()) > 1.5, "the eye's own car hides nothing"
+
+
+def test_nobody_comes_towards_a_lonely_car(tmp_path):
+    with pytest.raises(LuxloopError, match=r"video.view = 'oncoming'.*no car comes towards"):
+        Film(tmp_path / "video.mp4", simulation_of("video.view=oncoming", objects=[]))
 
 
 def test_film_has_the_frames_of_its_rate_between_the_steps(tmp_path):
