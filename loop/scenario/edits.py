@@ -20,7 +20,7 @@ ACTS: Final[dict[str, Acts]] = {
     **dict.fromkeys(("schema_version", "seed", "rate_hz", "off_share", "plant", "renderer", "pixel_controller"), "restart"),
     **dict.fromkeys(("headlight.model", "headlight.lamps", "headlight.modules"), "restart"),
     **dict.fromkeys(("camera.width_px", "camera.height_px", "camera.oversampling", "camera.bits"), "restart"),
-    **dict.fromkeys(("detector", "detector_frames", "tracker"), "restart"),
+    **dict.fromkeys(("detector", "detector_frames", "detector_every", "tracker"), "restart"),
 }
 
 

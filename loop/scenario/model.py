@@ -149,6 +149,9 @@ class Scenario(Params):
     detector_frames: Literal["on", "off", "both"] = Field(
         "on", description="with symbols under control: frames for the detector, with the measured symbols, without them, or both"
     )
+    detector_every: int = Field(
+        1, ge=1, le=100_000, description="steps from one detection to the next: the tracker predicts between them, functions learn at them"
+    )
     tracker: AnyTracker = Field(TrackerParams(), description="follows detections from frame to frame")
     probes: Mapping[PlainName, ProbeParams] = Field({}, description="luxmeters for the light of the own lamps, by name")
     video: VideoParams = Field(VideoParams(), description="the run's video")
@@ -281,6 +284,8 @@ def _detection(scenario: Scenario) -> Iterator[str]:
         lacking = "detector" if scenario.symbols else "symbol that a controller holds"
         yield f"detector_frames: there is no {lacking} here, so it has no effect; leave it out"
     if scenario.detector is None:
+        if scenario.detector_every != 1:
+            yield "detector_every: there is no detector here, so it has no effect; leave it out"
         if scenario.tracker != TrackerParams():
             yield 'tracker: follows what a detector finds, but there is none; give one, detector = {kind = "network"} say'
         return

@@ -284,6 +284,8 @@ class Simulation:
         """Run detector, tracker and learning functions on the arrived frames."""
         per_step = len(self.scenario.shares)
         watched = {"on": (0,), "off": (per_step - 1,), "both": range(per_step)}[self.scenario.detector_frames]
+        if state.step % self.scenario.detector_every:
+            watched = ()
         views = {**state.views, **{per_step * state.step + part: sense.view for part in watched}}
         known = Perception(state.tracks, state.functions, None, None, sense.now.time_s, views)
         for frame in reception.frames:

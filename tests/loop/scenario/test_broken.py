@@ -177,6 +177,7 @@ def test_a_class_with_a_dot_for_its_colon_is_told_how_to_be_written():
     ("name", "override", "said"),
     [
         ("snowflake", "detector_frames=off", "detector_frames: there is no detector here"),
+        ("snowflake", "detector_every=2", "detector_every: there is no detector here"),
         ("obl", "detector_frames=off", "detector_frames: there is no symbol that a controller holds here"),
         ("obl", "off_share=0.3", "off_share: no controller holds a symbol here; leave it out"),
         ("obl", "disturbances.ambient=[{factor=2.0, frames='off'}]", "disturbances.ambient[0].frames: without a held symbol"),

@@ -87,6 +87,18 @@ def looked(**tracker: Any) -> list[Any]:
     return [(each.detections.tracks.boxes.tolist(), each.detections.recognised, [o.name for o in each.now.objects]) for each in results]
 
 
+@pytest.mark.parametrize("latency_steps", [0, 1])
+def test_between_detections_tracks_are_predicted(latency_steps):
+    camera = {"width_px": 320, "height_px": 180, "oversampling": 1, "latency_steps": latency_steps}
+    tracked = scenario_of(TRACKED, detector_every=2, tracker={"confirm_frames": 2}, steps=5 + latency_steps, camera=camera)
+    results = list(simulation_of(tracked).evaluations())[latency_steps:]
+    assert [len(each.detections.found.boxes) for each in results] == [2, 0, 2, 0, 2]
+    boxes = [each.detections.tracks.boxes for each in results]
+    assert [len(each) for each in boxes] == [0, 0, 2, 2, 2]
+    seen, predicted = (each[:, ::2].mean(1) for each in boxes[2:4])  # px across, of which they walk 2 a step
+    assert ((predicted - seen).abs() > 1.0).all()
+
+
 @pytest.mark.usefixtures("own")
 def test_the_loop_follows_with_it():
     """Ours by another name follows bit for bit; other keys do not."""
