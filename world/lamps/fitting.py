@@ -1,7 +1,6 @@
 """Fit of all modules of a lamp together to a pattern, within the limits of the pattern's rules."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -11,9 +10,9 @@ from torch import Tensor
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, Module, direction
 from luxloop.world.lamps.patterns import PATTERNS, Pattern
-from luxloop.world.regulation import Requirement, rule_set
+from luxloop.world.regulation import Requirement, check_beam, passes, rule_set
 from luxloop.world.regulation.checking import samples_of
-from luxloop.world.regulation.tables import Traffic
+from luxloop.world.regulation.tables import Intensity, Traffic
 from luxloop.world.spmv import Csr, multiply, solve
 from luxloop.world.texels import bilinear
 
@@ -31,34 +30,57 @@ def fit(lamp: Lamp, pattern: Pattern, traffic: Traffic = "right") -> tuple[Tenso
     """Utilisations `[n_p]`, one per module, with which the lamp comes closest to a pattern; modules that only draw are dark.
 
     The limits of the pattern's rules take precedence over its form if the lamp can meet those within its field
-    (`luxloop.check_beam`). traffic: on the left, the pattern and its rules are mirrored.
+    (`luxloop.check_beam`). A module of one pixel that alone meets a rule of the low beam is fully on in every beam: others add what
+    the pattern lacks, and are dark where they would break a rule that this module meets. traffic: on the left, the pattern and its rules
+    are mirrored.
     """
-    fitted = iter(LampFit(replace(lamp, modules=tuple(each for each in lamp.modules if not each.draws_only))).fit(pattern, traffic))
-    return tuple(torch.zeros(each.headlight.n_pixels) if each.draws_only else next(fitted) for each in lamp.modules)
+    own = next((each for each in lamp.modules if each.headlight.n_pixels == 1 and _met(_full(each), PATTERNS["low"], traffic)), None)
+    others = tuple(each for each in lamp.modules if each is not own and not each.draws_only)
+    fitted = iter(LampFit(others, own).fit(pattern, traffic) if others else ())
+    alone = tuple(torch.full((each.headlight.n_pixels,), float(each is own)) for each in lamp.modules)
+    beam = tuple(u if each is own or each.draws_only else next(fitted) for each, u in zip(lamp.modules, alone, strict=True))
+    return alone if own and not _met(_full(own), pattern, traffic) <= _met(lamp.lit(beam), pattern, traffic) else beam
+
+
+def _full(module: Module) -> Intensity:
+    return Lamp(module.name, (module,)).lit((torch.ones(module.headlight.n_pixels),))
+
+
+def _met(intensity: Intensity, pattern: Pattern, traffic: Traffic) -> set[str]:
+    """Those of a pattern's rules that a light meets."""
+    return {rule for rule in pattern.rules if passes(check_beam(intensity, rule, traffic=traffic))}
 
 
 class LampFit:
-    """Light of a lamp's pixels, sampled in one direction or more per pixel over each module's field."""
+    """Light of a lamp's pixels, sampled in one direction or more per pixel over each module's field.
 
-    def __init__(self, lamp: Lamp) -> None:
-        self.lamp = lamp
-        self.directions = torch.cat([_directions(module) for module in lamp.modules], 1)
+    own: a further module, which is fully on.
+    """
+
+    def __init__(self, modules: tuple[Module, ...], own: Module | None = None) -> None:
+        self.modules = modules
+        self.own = None if own is None else _full(own)
+        self.directions = torch.cat([_directions(module) for module in modules], 1)
         self.matrix = self._light_at(self.directions)
         self.full = multiply(self.matrix, torch.ones(self.matrix.n_cols))
 
+    def _lacking(self, wanted: Tensor, directions: Tensor) -> Tensor:
+        """What is missing to an intensity `[N]` in cd beside the light of the module that is fully on."""
+        return wanted if self.own is None else (wanted - self.own(directions).to(wanted)).clamp(min=0)
+
     def _light_at(self, directions: Tensor) -> Csr:
         """The matrix `[N, all pixels]` of the light in cd into directions `[3, N]` of the lamp frame."""
-        return Csr.from_scipy(sp.hstack([_sampling(module, directions) for module in self.lamp.modules], format="csr"))
+        return Csr.from_scipy(sp.hstack([_sampling(module, directions) for module in self.modules], format="csr"))
 
     def fit(self, pattern: Pattern, traffic: Traffic = "right") -> tuple[Tensor, ...]:
         mirror = -1.0 if traffic == "left" else 1.0
-        target = pattern.intensity(*_angles(self.directions, mirror)).float()
+        target = self._lacking(pattern.intensity(*_angles(self.directions, mirror)).float(), self.directions)
         weight = self.full / (self.full + RIM * self.full.max()) / (target + EVEN_CD)
         upper = self._handover(target)
         start = self._first_guess(target).minimum(upper)
         u = solve(self.matrix, target, weight=weight, upper=upper, start=start, iterations=60, tolerance=1e-4)
         u = self._within_limits(u, target, weight, pattern, mirror, upper)
-        return u.split([module.headlight.n_pixels for module in self.lamp.modules])
+        return u.split([module.headlight.n_pixels for module in self.modules])
 
     def _first_guess(self, target: Tensor) -> Tensor:
         """Start of the fit: each pixel's mean share of the target intensity in its directions; smooth, as the solver keeps values that do
@@ -76,7 +98,7 @@ class LampFit:
         lit = multiply(mean, torch.ones(len(target))).clamp(min=1e-6)
         wanted = multiply(mean, target) / lit
         start, uppers = 0, []
-        for module in self.lamp.modules:
+        for module in self.modules:
             light = module.headlight
             pixels = slice(start, start + light.n_pixels)
             own = torch.zeros(self.matrix.n_cols)
@@ -90,26 +112,34 @@ class LampFit:
     def _within_limits(
         self, pattern_alone: Tensor, target: Tensor, weight: Tensor, pattern: Pattern, mirror: float, upper: Tensor
     ) -> Tensor:
-        """A fit within all limits that the lamp can reach, else the plain fit: a lamp too coarse for all limits would distort its beam to
-        meet a few.
+        """A fit within all limits that the lamp can reach, at last for these alone; else the plain fit: a lamp too coarse for all limits
+        would distort its beam to meet a few.
         """
         points, low, high = _limits(pattern)
         points[0] *= mirror
-        limits = self._light_at(direction(*points))
+        directions = direction(*points)
+        low, high = self._lacking(low, directions), self._lacking(high, directions)
+        limits = self._light_at(directions)
         within_reach = multiply(limits, torch.ones(limits.n_cols)) >= low
-        u, held = pattern_alone, torch.zeros_like(within_reach)
-        for round_ in range(ROUNDS):
+
+        def missed(u: Tensor) -> Tensor:
             light = multiply(limits, u)
-            missed = within_reach & ((light < (1 - RESERVE / 2) * low) | (light > (1 + RESERVE / 2) * high))
-            if not missed.any():
+            return within_reach & ((light < (1 - RESERVE / 2) * low) | (light > (1 + RESERVE / 2) * high))
+
+        u, held = pattern_alone, torch.zeros_like(within_reach)
+        scale = 1 / (torch.where(low > 0, low, high) + EVEN_CD)
+        for round_ in range(ROUNDS):
+            if not (lacking := missed(u)).any():
                 return u
-            held |= missed
+            held |= lacking
             rows = Csr.from_scipy(sp.vstack([self.matrix.to_scipy(), limits.to_scipy()[held.numpy()]], format="csr"))
-            bound = torch.where(low[held] > 0, low[held], high[held])
-            weights = torch.cat([weight, WEIGHT_OF_LIMITS ** (round_ + 1) / (bound + EVEN_CD)])
+            weights = torch.cat([weight, WEIGHT_OF_LIMITS ** (round_ + 1) * scale[held]])
             lows, highs = torch.cat([target, low[held]]), torch.cat([target, high[held]])
             u = solve(rows, (lows, highs), weight=weights, upper=upper, start=u, iterations=60, tolerance=1e-5)
-        return pattern_alone
+        if missed(u).any():
+            rows, lows, highs = Csr.from_scipy(limits.to_scipy()[within_reach.numpy()]), low[within_reach], high[within_reach]
+            u = solve(rows, (lows, highs), weight=scale[within_reach], upper=upper, start=u, iterations=400, tolerance=1e-6)
+        return pattern_alone if missed(u).any() else u
 
 
 def _ramp(light: Headlight) -> Tensor:
@@ -156,14 +186,21 @@ def _sampling(module: Module, directions: Tensor) -> sp.csr_matrix:
 def _limits(pattern: Pattern) -> tuple[Tensor, Tensor, Tensor]:
     """Points `[2, N]` in deg with the least and the largest light in cd that the rules allow, a reserve kept.
 
-    A limit of a sum is shared among its points. Limits that are relative, conditional, or on flux or maximum are left out.
+    A limit of a sum is shared among its points. The least maximum of a driving beam is wanted at its hot spot. Limits that are relative,
+    conditional, on flux or on the largest maximum are left out.
     """
     parts = []
     for rules in map(rule_set, pattern.rules):
         for requirement in rules.requirements:
-            if requirement.kind not in ("imax", "flux") and not requirement.of and not requirement.only_if:
+            if requirement.of or requirement.only_if or requirement.kind == "flux":
+                continue
+            if requirement.kind == "imax":
+                if rules.beam != "high":
+                    continue
+                points = torch.tensor([[pattern.hot_h_deg], [pattern.hot_v_deg]], dtype=torch.float64)
+            else:
                 points = samples_of(requirement, RULE_STEP_DEG)
-                parts.append((points, *(torch.full((points.shape[1],), bound) for bound in _bounds(requirement))))
+            parts.append((points, *(torch.full((points.shape[1],), bound) for bound in _bounds(requirement))))
     if not parts:
         return torch.zeros(2, 0, dtype=torch.float64), torch.zeros(0), torch.zeros(0)
     points, low, high = (torch.cat(part, -1) for part in zip(*parts, strict=True))

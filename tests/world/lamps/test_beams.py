@@ -1,14 +1,19 @@
 """Beams as a lighting engineer would judge them: what they light, what they spare, whether they are even; setpoints of even light."""
 
 import math
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from luxloop.world.headlight.lamp import Lamp, direction
+from luxloop.world.lamps.description import for_traffic, load_lamp
 from luxloop.world.lamps.fitting import fit
 from luxloop.world.lamps.patterns import PATTERNS, QUICK, RECTANGLES, Pattern, Rectangle, pattern
 from luxloop.world.lamps.presets import lamp
+from luxloop.world.photometry import lm63
+from luxloop.world.photometry.distribution import Distribution
 from luxloop.world.regulation import check_beam, passes
 from luxloop.world.texels import TexelGrid
 from tests.refusal import refusal
@@ -116,6 +121,69 @@ def test_limits_win_over_the_pattern_where_the_lamp_can_keep_them():
     kept = fit(lores, glaring)
     zones = {each.id: each for each in check_beam(lambda d: lores.intensity(kept, d), "r112-passing-b")}
     assert zones["Zone III"].verdict == zones["B50L"].verdict == "pass"
+
+
+OWN = pattern("low").model_copy(
+    update={"hot_cd": 22_000, "hot_left_deg": 4.0, "hot_right_deg": 5.0, "hot_down_deg": 0.9, "broad_cd": 6_000, "broad_width_deg": 22.0}
+)
+HYBRID = """
+name = "hybrid"
+beams.default = true
+[[module]]
+name = "low"
+source = { kind = "file", path = "own.ies" }
+[[module]]
+name = "fine"
+source = { kind = "preset", name = "dmd-1m3" }
+"""
+
+
+@pytest.fixture(scope="module")
+def hybrid(tmp_path_factory: pytest.TempPathFactory) -> Lamp:
+    """A low beam of its own, 500 lm in a photometric file, with a module of micromirrors beside it."""
+    folder = tmp_path_factory.mktemp("hybrid")
+    h, v = np.linspace(-45, 45, 226), np.linspace(-20, 8, 281)
+    candela = OWN.intensity(*(torch.from_numpy(each) for each in np.meshgrid(h, v, indexing="ij")))
+    lm63.write(folder / "own.ies", Distribution("A", v, h, candela.numpy()))
+    (folder / "hybrid.toml").write_text(HYBRID)
+    return load_lamp(folder / "hybrid.toml")
+
+
+@pytest.mark.parametrize("beam", [name for name, values in PATTERNS.items() if values.cutoff_v_deg is not None])
+def test_a_low_beam_of_ones_own_stays_and_keeps_its_rules_beside_a_module_that_could_replace_it(beam, hybrid):
+    low, fine = hybrid.beam(beam)
+    assert float(low) == 1.0
+    alone, light = hybrid.lit((low, torch.zeros_like(fine))), hybrid.lit((low, fine))
+    kept = [rule for rule in PATTERNS[beam].rules or ("r149-passing-c",) if passes(check_beam(alone, rule))]
+    assert kept and all(passes(check_beam(light, rule)) for rule in kept)
+
+
+def test_the_other_module_adds_the_high_beam_to_ones_own_low_beam(hybrid):
+    (low, fine), light = hybrid.beam("high"), hybrid.lit(hybrid.beam("high"))
+    assert float(low) == 1.0 and bool(fine.any())
+    assert passes(check_beam(light, "r112-driving-b"))
+
+
+def test_a_low_beam_of_ones_own_for_traffic_on_the_right_is_none_for_traffic_on_the_left(hybrid):
+    assert float(for_traffic(hybrid, "left").beam("low")[0]) < 1.0
+
+
+def spots(folder: Path, sigma_deg: float) -> Lamp:
+    """84 copies of a round spot in three rows, 1.5 deg apart."""
+    angles = np.linspace(-3 * sigma_deg, 3 * sigma_deg, 61)
+    spot = np.exp(-0.5 * (angles / sigma_deg) ** 2)
+    lm63.write(folder / "spot.ies", Distribution("A", angles, angles, 25_000 * spot[:, None] * spot))
+    source = 'kind = "file", path = "spot.ies", rows = 3, columns = 28, pitch_deg = 1.5'
+    (folder / "spots.toml").write_text(f'name = "spots"\nbeams.default = true\n[[module]]\nname = "all"\nsource = {{ {source} }}')
+    return load_lamp(folder / "spots.toml")
+
+
+@pytest.mark.parametrize("sigma_deg", [0.8, 5.0])
+def test_copies_of_a_spot_make_a_high_beam_however_wide_the_spot_is(sigma_deg, tmp_path):
+    lamp = spots(tmp_path, sigma_deg)
+    light = lamp.lit(lamp.beam("high"))
+    for rule in PATTERNS["high"].rules:
+        assert passes(check_beam(light, rule))
 
 
 GRID = TexelGrid.from_degrees(100, 400, 20, -20, -5, 5)
