@@ -85,7 +85,10 @@ export function placePanel(placing: Placing, adding: Adding, deeds: Deeds, bar: 
       const text = others.length ? `${placing.chosen.length} things move and turn together` : (thing?.title ?? "");
       numbers.replaceChildren(
         h("h3", {}, text),
-        ...inputs.map(([figure, input]) => h("label", { title: figure.key }, figure.label, input, figure.unit)),
+        ...inputs.map(([figure, input]) => {
+          const style = figure.label.length > SHORT ? "long" : null;
+          return h("label", { title: figure.key, class: style }, figure.label, input, figure.unit);
+        }),
       );
       numbers.hidden = !thing;
     }
@@ -117,6 +120,8 @@ export function placePanel(placing: Placing, adding: Adding, deeds: Deeds, bar: 
     showNumbers();
   });
 }
+
+const SHORT = 6; // letters of a label beside which another one has room
 
 /** A number with two decimals, or two digits where it is small. */
 function short(value: unknown): string {
