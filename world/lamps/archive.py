@@ -26,6 +26,7 @@ FORMAT: Final = "luxloop lamp"
 VERSION: Final = 1
 WRITER = "`luxloop headlight build` writes it"
 BYTES_A_PLACE = 16  # of a pixel or texel, in the matrix' row pointers, textures and utilisations
+MOUNT = ("swivel_deg", "level_deg", "draws_only")  # of a module, besides its pose
 RIGID = 1e-6  # tolerance of rotation matrices
 
 
@@ -44,6 +45,7 @@ class ModuleHeader(Params):
     pixel_cols: PositiveInt
     swivel_deg: tuple[float, float]
     level_deg: tuple[float, float]
+    draws_only: bool = False
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -141,7 +143,8 @@ def _host(tensor: Tensor) -> np.ndarray[Any, Any]:
 def _module_header(module: Module) -> ModuleHeader:
     light = module.headlight
     grid = {name: getattr(light, name) for name in ("rows", "cols", "left", "right", "bottom", "top", "pixel_rows", "pixel_cols")}
-    return ModuleHeader(name=module.name, headlight=light.name, swivel_deg=module.swivel_deg, level_deg=module.level_deg, **grid)
+    mount = {name: getattr(module, name) for name in MOUNT}
+    return ModuleHeader(name=module.name, headlight=light.name, **mount, **grid)
 
 
 def _header(path: Path, arrays: Arrays) -> Header:
@@ -184,9 +187,9 @@ def _module(header: ModuleHeader, prefix: str, arrays: Arrays) -> Module:
         _tensor(arrays, f"{prefix}_chroma", (3, nnz), np.float32, lambda a: np.isfinite(a).all()) if f"{prefix}_chroma" in arrays else None
     )
     pose = _tensor(arrays, f"{prefix}_pose", (4, 4), np.float64, _rigid)
-    grid = header.model_dump(exclude={"name", "headlight", "swivel_deg", "level_deg"})
+    grid = header.model_dump(exclude={"name", "headlight", *MOUNT})
     light = Headlight(name=header.headlight, matrix=Csr(indptr, indices, values, n_pixels), chroma=chroma, **grid)
-    return Module(header.name, light, pose, header.swivel_deg, header.level_deg)
+    return Module(header.name, light, pose, **{name: getattr(header, name) for name in MOUNT})
 
 
 def _rigid(pose: np.ndarray[Any, Any]) -> bool:

@@ -137,6 +137,9 @@ class ModuleParams(Params):
     level_deg: tuple[Degrees, Degrees] | None = Field(
         None, description="range of levelling, down positive; left out: fixed, or as in the preset"
     )
+    draws_only: bool | None = Field(
+        None, description="whether default beams leave it dark, for what lighting functions draw; left out: no, or as in the preset"
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -190,7 +193,8 @@ def build_module(
             raise LuxloopError(
                 f"overlap: bound_cd = {params.overlap.bound_cd:g} leaves no light; the brightest texel has {full.peak_cd:g} cd"
             )
-    changes: dict[str, Any] = {key: getattr(params, key) for key in ("swivel_deg", "level_deg") if getattr(params, key) is not None}
+    given = {key: getattr(params, key) for key in ("swivel_deg", "level_deg", "draws_only")}
+    changes: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     if params.mount is not None:
         m = params.mount
         changes["T_lamp_module"] = pose_from_degrees((m.x_m, m.y_m, m.z_m), m.roll_deg, m.pitch_deg, m.yaw_deg).double()

@@ -76,6 +76,19 @@ def test_a_preset_can_be_a_module(tmp_path):
     assert report.overlap is not None and 0 < report.overlap.rmse < 0.5
 
 
+def test_a_module_that_only_draws_is_dark_in_default_beams_and_stays_so_in_a_lamp_file(tmp_path):
+    preset = '{ kind = "preset", name = "hd84" }'
+    text = (
+        f'name = "m"\nbeams.default = true\n[[module]]\nname = "base"\nsource = {preset}\n'
+        f'[[module]]\nname = "fine"\ndraws_only = true\nsource = {preset}'
+    )
+    lamp, _ = build(write(tmp_path, text))
+    base, fine = lamp.beam("low")
+    assert bool(base.any()) and not bool(fine.any())
+    archive.save(tmp_path / "m.npz", lamp)
+    assert [module.draws_only for module in load_lamp(tmp_path / "m.npz").modules] == [False, True]
+
+
 def test_given_beams_come_from_pictures_and_tables(tmp_path):
     picture = np.array([[0, 51, 102, 153], [204, 255, 0, 0]], np.uint8)
     cv2.imwrite(str(tmp_path / "a.png"), picture)
