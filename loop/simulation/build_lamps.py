@@ -1,7 +1,7 @@
 """Builds the lamps of a scenario: mounted and turned modules, beams, raw utilisations and pixel controllers."""
 
 from collections.abc import Sequence
-from typing import Any, TypeVar, cast
+from typing import TypeVar, cast
 
 import torch
 from torch import Tensor
@@ -79,8 +79,8 @@ def shining_module(scenario: Scenario, module: MountedModule, cache: PartCache) 
     beams = cache(f"{name}: beams", Beams, module.lamp, module.number, light)
     controller = cache(f"{name}: pixel controller", pixel_controller, light, scenario.pixel_controller, scenario.ssc, scenario.jpo)
 
-    def shining(mount: MountedModule, *parts: Any) -> ShiningModule:
-        return ShiningModule(*vars(mount).values(), *parts)
+    def shining(mount: MountedModule, controller: PixelController, beams: Beams, raw: RawUtilisation | None) -> ShiningModule:
+        return ShiningModule(**vars(mount), controller=controller, beams=beams, raw=raw)
 
     return cache(f"{name}: module", shining, module, controller, beams, raw)
 

@@ -49,15 +49,18 @@ class MountedModule:
         return f"{self.side} {self.lamp.modules[self.number].name}"
 
 
-class Beams(dict[str, Morphing]):
+class Beams:
     """Beams of a lamp's module by name, each made on first use, as a fit takes half a second. Raises LuxloopError for an unknown beam."""
 
     def __init__(self, lamp: Lamp, number: int, headlight: Headlight) -> None:
         self._lamp, self._number, self._headlight = lamp, number, headlight
+        self._made: dict[str, Morphing] = {}
 
-    def __missing__(self, name: str) -> Morphing:
-        beam = self._lamp.beam(name)[self._number].to(self._headlight.matrix.values)
-        return self.setdefault(name, Morphing(self._headlight, beam))
+    def __getitem__(self, name: str) -> Morphing:
+        if name not in self._made:
+            beam = self._lamp.beam(name)[self._number].to(self._headlight.matrix.values)
+            self._made[name] = Morphing(self._headlight, beam)
+        return self._made[name]
 
 
 @dataclass(frozen=True, eq=False)
