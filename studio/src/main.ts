@@ -56,14 +56,14 @@ const placing = placeThings(store, session, scenes, toasts.show);
 
 const matrix = matrixPanel(store, session, toasts.show);
 const light = worldLight(store, session, scenes, matrix.painting);
-const measures = measuring(store, session, scenes);
+const measures = measuring(store, session, scenes, toasts.show);
 const borders = layout(store);
 const main = h(
   "main",
   {},
   scenes.element,
   borders.columns,
-  cameraPanel(store, measures.onCamera),
+  cameraPanel(store, measures),
   borders.pictures,
   matrix.element,
   borders.rows,

@@ -25,6 +25,8 @@ export type { Viewpoint };
 export type PanelName = "scene" | "camera" | "matrix" | "curves";
 export type Tool = "move" | "turn" | "scale";
 export type Side = "left" | "right";
+/** What a click in the scene does in place of choosing: light painted in the world, or measuring. */
+export type Aim = "find" | "light" | "lux" | "probe" | "line";
 
 /** The camera's newest pictures and the marks of the same step. */
 export interface Look {
@@ -125,6 +127,7 @@ export interface State extends SceneOptions {
   /** Keys of the things that are chosen in the scene, and what dragging their handles does. */
   chosen: readonly string[];
   tool: Tool;
+  aim: Aim | null;
   /** Whether the things are listed beside the scene. */
   things: boolean;
 }
@@ -172,6 +175,7 @@ export function newStore(): Studio {
     keys_open: false,
     chosen: [],
     tool: "move",
+    aim: null,
     things: false,
   });
 }

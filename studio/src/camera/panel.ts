@@ -1,10 +1,11 @@
 // The camera's picture with the light on or off, their difference, the extracted symbol, and marks.
 
 import { fill, h, select, toggle } from "../dom.ts";
+import type { Measuring, Pixel } from "../measure/index.ts";
 import { panel } from "../panels.ts";
 import { runSwitch } from "../runs.ts";
 import type { Look, Studio } from "../state.ts";
-import { Viewport } from "../viewport.ts";
+import { type Point, Viewport } from "../viewport.ts";
 import { drawMarks, MARKS } from "./marks.ts";
 import { difference, differenceTable, digitalNumber, grey, painted } from "./picture.ts";
 
@@ -17,8 +18,7 @@ const FRAMES = [
 type Frame = (typeof FRAMES)[number][0];
 const SYMBOL_BGR = 0xe9b456; // little-endian blue, green, red
 
-/** onPixel: the cursor is on a pixel of the picture, null outside. */
-export function cameraPanel(store: Studio, onPixel: (pixel: { u: number; v: number } | null) => void): HTMLElement {
+export function cameraPanel(store: Studio, measures: Pick<Measuring, "hover" | "press">): HTMLElement {
   const { element, bar, body } = panel(store, "camera", "Camera");
   let frame: Frame = "on";
   let withMarks = true;
@@ -26,7 +26,7 @@ export function cameraPanel(store: Studio, onPixel: (pixel: { u: number; v: numb
   let image: OffscreenCanvas | null = null;
   let symbol: OffscreenCanvas | null = null;
   let stale = true;
-  let cursor: { u: number; v: number } | null = null;
+  let cursor: Pixel | null = null;
   const tables = { signed: differenceTable(true), clipped: differenceTable(false) };
   const readout = h("output", { class: "readout" });
   const legend = h("div", { class: "legend" });
@@ -58,10 +58,11 @@ export function cameraPanel(store: Studio, onPixel: (pixel: { u: number; v: numb
         read();
       },
       hover(point) {
-        cursor = point && { u: Math.floor(point.x), v: Math.floor(point.y) };
+        cursor = point && pixelOf(point);
         read();
-        onPixel(cursor);
+        measures.hover(cursor);
       },
+      press: (point) => measures.press(pixelOf(point)),
     },
     48,
   );
@@ -129,7 +130,11 @@ export function cameraPanel(store: Studio, onPixel: (pixel: { u: number; v: numb
 
 type GreyPicture = ReturnType<typeof grey> | undefined;
 
-function number({ u, v }: { u: number; v: number }, frame: Frame, bits: number, on: GreyPicture, off: GreyPicture): string {
+function pixelOf({ x, y }: Point): Pixel {
+  return { u: Math.floor(x), v: Math.floor(y) };
+}
+
+function number({ u, v }: Pixel, frame: Frame, bits: number, on: GreyPicture, off: GreyPicture): string {
   const of = (picture: GreyPicture) =>
     picture && u >= 0 && v >= 0 && u < picture.width && v < picture.height
       ? digitalNumber(picture.codes[v * picture.width + u], bits)

@@ -30,6 +30,7 @@ const KINDS: Kind[] = [
   { title: "Overlap with target (IoU)", unit: "1", range: [0, 1], matches: /^functions\..+\.iou$/ },
   { title: "Luminous flux", unit: "lm", range: null, matches: /(^|\.)flux_lm$/ },
   { title: "Illuminance on objects", unit: "lx", range: null, matches: /^objects\..+\.lx_max$/ },
+  { title: "Illuminance on probes", unit: "lx", range: null, matches: /^probes\..+\.lx$/ },
   { title: "Detection confidence", unit: "1", range: [0, 1], matches: /^objects\..+\.confidence$/ },
   { title: "Time of a step", unit: "ms", range: null, matches: /^processing_ms$/ },
 ];
@@ -58,13 +59,13 @@ export function groups(columns: readonly Column[], chosen: ReadonlySet<string>):
 }
 
 function curve({ name, unit, description }: Column): Curve {
-  const label = name.replace(/^(functions|objects|lamp)\./, "");
+  const label = name.replace(/^(functions|objects|probes|lamp)\./, "");
   return { label, title: `${name}${unit ? ` in ${unit}` : ""}: ${description}`, columns: [name] };
 }
 
 /** In a chart whose title says what all of its curves are, a name says of what. */
 function shortened(each: Curve): Curve {
-  return { ...each, label: each.label.replace(/\.(iou|flux_lm|lx_max|confidence)$/, "") };
+  return { ...each, label: each.label.replace(/\.(iou|flux_lm|lx_max|lx|confidence)$/, "") };
 }
 
 function sum(columns: readonly Column[]): Curve {

@@ -3,7 +3,7 @@
 export type Table = Record<string, unknown>;
 
 /** Lists of what is put in and taken out as a whole. */
-export const LISTS = ["functions", "objects", "light.street_lamps", "spots"] as const;
+export const LISTS = ["functions", "objects", "light.street_lamps", "spots", "probes"] as const;
 export type List = (typeof LISTS)[number];
 
 /** What is switched off: taken out, and kept to be put in again. */

@@ -13,9 +13,8 @@ import { bindPointer } from "./pointer.ts";
 /** In the scene of the first run; null where the browser draws none. */
 export function placeThings(store: Studio, session: Session, scenes: ScenesPanel, toast: (sentence: string) => void): Placing | null {
   const [view] = scenes.views;
-  const container = view?.canvas.parentElement;
-  if (!view || !container) return null;
-  const placing = new Placing(store, session, view, container, toast);
+  if (!view) return null;
+  const placing = new Placing(store, session, view, toast);
   const done = deeds(placing);
   placePanel(placing, addMenu(placing, toast), done, scenes.bar, scenes.body);
   bindPointer(placing);

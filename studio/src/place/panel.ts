@@ -10,7 +10,7 @@ import type { Figure, Sort, Thing } from "./thing.ts";
 const SORTS: readonly (readonly [Sort, string])[] = [
   ["function", "Light"],
   ["object", "Objects"],
-  ["light", "Street lamps"],
+  ["light", "Street lamps and probes"],
   ["road", "Road"],
   ["car", "Own car"],
 ];

@@ -1,10 +1,9 @@
 // Choosing, moving, adding and removing things in the scene. What is dragged is shown at once, and told to the server as an edit.
 
-import { type Camera, Matrix4, Vector2, Vector3 } from "three";
+import { Matrix4, Vector2, Vector3 } from "three";
 import { override, patched, type Table, valueAt } from "../model/overrides.ts";
 import type { StepMessage } from "../protocol.ts";
 import type { SceneView } from "../scene/index.ts";
-import { Labels } from "../scene/labels.ts";
 import type { Session } from "../session.ts";
 import { hasPen, type Studio, type Tool } from "../state.ts";
 import { Gizmo } from "./gizmo.ts";
@@ -37,7 +36,6 @@ export class Placing {
   onChange: (() => void)[] = [];
   readonly gizmo: Gizmo;
   private readonly outlines = new Outlines();
-  private readonly labels: Labels;
   private readonly drafts = new Map<string, number>();
   private source = ""; // of the scenario
   private readonly waiting: (() => void)[] = [];
@@ -48,13 +46,10 @@ export class Placing {
     readonly store: Studio,
     private readonly session: Session,
     readonly view: SceneView,
-    container: HTMLElement,
     toast: (sentence: string) => void,
   ) {
     this.gizmo = new Gizmo(view, { begin: () => this.begin(), moved: (D, scale) => this.moved(D, scale), end: () => this.end() });
-    this.labels = new Labels(container);
     view.overlay.add(this.outlines.group);
-    view.onDraw = (camera) => this.draw(camera, container);
     store.on(["scenario"], ({ scenario }) => this.forget(scenario?.source ?? ""));
     store.on(["edits_pending"], ({ edits_pending }) => {
       this.settle();
@@ -209,7 +204,8 @@ export class Placing {
     this.things = model ? thingsOf(patched(model, this.drafts), model, this.view) : [];
     const drawn = viewpoint === "wall" ? [] : this.shown;
     this.outlines.show(drawn, (thing) => this.local(thing), new Set(chosen));
-    this.labels.set(
+    this.view.label(
+      "things",
       drawn.map((thing) => ({ at: this.labelled(thing), text: thing.title, colour: `#${COLOURS[thing.sort].toString(16)}` })),
     );
     this.grip(tool);
@@ -248,10 +244,6 @@ export class Placing {
     for (const thing of chosen) middle.add(new Vector3().setFromMatrixPosition(T_base_local.clone().multiply(this.local(thing))));
     middle.divideScalar(chosen.length);
     this.gizmo.place(T_local_base, new Matrix4().setPosition(middle), tool, { move: "XYZ", turn: "Z", scale: "" }[tool]);
-  }
-
-  private draw(camera: Camera, container: HTMLElement): void {
-    this.labels.update(camera, container.clientWidth, container.clientHeight);
   }
 
   /** The server has answered all: its model holds. */

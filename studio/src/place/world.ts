@@ -26,7 +26,15 @@ export function worldThings(model: Model): Thing[] {
     const said = { key: `spots[${k}]`, title: `${spot.material ?? "spot"} ${k}`, kind: "spot", sort: "road" } as const;
     return keyed(model, { ...said, keys: FLAT, others: ["albedo_factor"] });
   });
-  return [...lamps, ...spots, ...shapeOfRoad(model), camera(model), carLamps(model)];
+  return [...lamps, ...spots, ...probes(model), ...shapeOfRoad(model), camera(model), carLamps(model)];
+}
+
+/** Those on objects are listed, and ride along. */
+function probes(model: Model): Thing[] {
+  return Object.entries(model.probes as Record<string, Table>).map(([name, { frame }]) => {
+    const said = { key: `probes.${name}`, title: name, kind: "probe", sort: frame === "car" ? "car" : "light" } as const;
+    return { ...keyed(model, { ...said, keys: listed("position_m") }), placed: frame === "world" || frame === "car" };
+  });
 }
 
 function shapeOfRoad(model: Model): Thing[] {

@@ -6,7 +6,7 @@ import type { BeamPoint, MeshesMessage, Run, StepMessage } from "../protocol.ts"
 import { Bodies } from "./bodies.ts";
 import { Fog } from "./fog.ts";
 import { LocalFrame } from "./frames.ts";
-import { Labels } from "./labels.ts";
+import { type Label, Labels } from "./labels.ts";
 import { Legend } from "./legend.ts";
 import { LightAtlas } from "./light_atlas.ts";
 import { Markers } from "./markers.ts";
@@ -43,8 +43,6 @@ export class SceneView {
   readonly canvas: HTMLCanvasElement;
   /** For what others draw over the scene, in the local frame. */
   readonly overlay = new Group();
-  /** Called before each picture, with the camera that it is seen by. */
-  onDraw: ((camera: Camera) => void) | null = null;
   private readonly renderer: WebGLRenderer;
   private readonly scene = new Scene();
   private readonly frame = new LocalFrame();
@@ -247,6 +245,12 @@ export class SceneView {
     return { T, bounds: mesh.geometry.boundingBox!.clone() };
   }
 
+  /** Replaces the labels of one owner, at points of the local frame. */
+  label(owner: string, labels: readonly Label[]): void {
+    this.labels.set(owner, labels);
+    this.changed();
+  }
+
   /** Draw anew: what is on the overlay has changed. */
   redraw(): void {
     this.changed();
@@ -357,7 +361,7 @@ export class SceneView {
   private relabel(): void {
     const wall = this.viewpoints.viewpoint === "wall";
     if (wall) this.wall.lookFrom(this.lampOf(this.beamSide));
-    this.labels.set(wall ? this.wall.labels() : []);
+    this.labels.set("wall", wall ? this.wall.labels() : []);
   }
 
   /** Uniforms of the modules that shine, and their shadow maps. */
@@ -413,9 +417,8 @@ export class SceneView {
       this.fog.sky.visible = fog;
     }
     this.overlay.visible = !wall;
-    this.onDraw?.(camera);
     this.renderer.render(this.scene, camera);
-    this.labels.update(camera, this.container.clientWidth, this.container.clientHeight);
+    this.labels.update(camera, this.container.clientWidth, this.container.clientHeight, this.legend.corner);
   }
 }
 

@@ -14,7 +14,7 @@ export class Legend {
       left: "12px",
       bottom: "12px",
       width: "min(280px, 60%)",
-      padding: "6px 14px 4px",
+      padding: "6px 20px 4px 14px",
       borderRadius: "4px",
       background: "rgba(10, 12, 16, 0.72)",
       color: "#e8eaee",
@@ -38,6 +38,12 @@ export class Legend {
   show(visible: boolean, isolux: boolean): void {
     this.element.hidden = !visible;
     for (const line of this.element.querySelectorAll<HTMLElement>("[data-isolux]")) line.hidden = !isolux;
+  }
+
+  /** Its right and upper border in CSS pixels of the canvas, in whose lower left corner it is; null where it is hidden. */
+  get corner(): { right: number; top: number } | null {
+    const { hidden, offsetLeft, offsetWidth, offsetTop } = this.element;
+    return hidden ? null : { right: offsetLeft + offsetWidth, top: offsetTop };
   }
 
   dispose(): void {

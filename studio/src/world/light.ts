@@ -33,14 +33,20 @@ export function worldLight(
   const rasters = { road: new Raster("road"), wall: new Raster("wall") };
   const raster = () => rasters[store.state.viewpoint === "wall" ? "wall" : "road"];
   const planes = new Map<SceneView, WishPlane[]>();
-  let mode: Mode | null = null;
+  const mode = (): Mode | null => {
+    const { aim } = store.state;
+    return aim !== null && aim in MODES ? (aim as Mode) : null;
+  };
   let waiting: Vector | null = null;
 
   const utilisation = numberField("Utilisation that is painted, in per cent", { value: 100, min: 0, max: 100, step: 5 });
   const lx = numberField("Illuminance that is wanted, in lx; nothing: none is wanted", { value: 1, min: 0, max: 1000, step: "any" });
   const radius = numberField("Radius of the brush, in m", { value: 1, min: 0.3, max: 10, step: "any" });
   const told = h("output", { class: "readout" });
-  const buttons = (Object.keys(MODES) as Mode[]).map((each) => ({ each, ...toggle(each, MODES[each], (on) => choose(on ? each : null)) }));
+  const buttons = (Object.keys(MODES) as Mode[]).map((each) => ({
+    each,
+    ...toggle(each, MODES[each], (on) => store.set({ aim: on ? each : null })),
+  }));
   const share = h("label", {}, "%", utilisation);
   const brush = h(
     "span",
@@ -61,13 +67,12 @@ export function worldLight(
   scenes.body.append(told);
 
   /** Whether points are asked for. */
-  const asks = () => mode === "find" || mode === "light";
-  const choose = (chosen: Mode | null) => {
-    mode = chosen;
-    for (const { each, show } of buttons) show(each === mode);
-    share.hidden = mode !== "light";
-    brush.hidden = mode !== "lux";
-    scenes.body.classList.toggle("paints", mode !== null);
+  const asks = () => mode() === "find" || mode() === "light";
+  const chosen = () => {
+    for (const { each, show } of buttons) show(each === mode());
+    share.hidden = mode() !== "light";
+    brush.hidden = mode() !== "lux";
+    scenes.body.classList.toggle("paints", store.state.aim !== null);
     if (!asks()) painting.mark(new Map());
     told.textContent = "";
     draw();
@@ -83,7 +88,7 @@ export function worldLight(
       }
       const shown = store.state.runs[run]?.shown;
       for (const plane of of) {
-        plane.mesh.visible = mode === "lux" && shown !== null && plane.raster === raster();
+        plane.mesh.visible = mode() === "lux" && shown !== null && plane.raster === raster();
         if (!shown || !plane.mesh.visible) continue;
         plane.place(plane.raster.on === "wall" ? T_BODY_WALL : view.local(shown.T_world_ground));
         plane.update();
@@ -109,7 +114,7 @@ export function worldLight(
 
   /** A point of the world is under the brush. */
   const paintAt = (point: Vector) => {
-    if (mode === "lux") {
+    if (mode() === "lux") {
       const at = onPlane(point);
       const size_m = numberOf(radius, 1);
       const wanted = lx.value === "" ? null : numberOf(lx);
@@ -132,7 +137,7 @@ export function worldLight(
       type: "place",
       stroke: painting.stroke,
       point_m: waiting,
-      value: mode === "light" ? Math.round(2.55 * numberOf(utilisation)) : null,
+      value: mode() === "light" ? Math.round(2.55 * numberOf(utilisation)) : null,
       over: painting.over,
     });
     waiting = null;
@@ -162,7 +167,7 @@ export function worldLight(
     "pointerdown",
     (event) => {
       const view = scenes.views.find(({ canvas }) => canvas === event.target);
-      if (!mode || !view || event.button !== 0 || !hasPen(store.state)) return;
+      if (!mode() || !view || event.button !== 0 || !hasPen(store.state)) return;
       event.stopImmediatePropagation();
       view.canvas.setPointerCapture(event.pointerId);
       stroke = view;
@@ -186,8 +191,8 @@ export function worldLight(
     if (light.type === "error") told.textContent = "";
     else if (asks()) found(light);
   });
-  store.on(["scenario", "step_version", "viewpoint"], () => mode === "lux" && draw());
-  choose(null);
+  store.on(["scenario", "step_version", "viewpoint"], () => mode() === "lux" && draw());
+  store.on(["aim"], chosen);
   return { rasters };
 }
 

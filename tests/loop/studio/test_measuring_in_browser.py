@@ -7,11 +7,12 @@ import pytest
 import torch
 from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.keys import Keys
 
 from luxloop.loop.studio.page import PAGE
 from luxloop.loop.studio.sources import Source
 from tests.loop.studio.conftest import SMALL, Served, serving
-from tests.loop.studio.pages import IN_BROWSER, one, until, visit
+from tests.loop.studio.pages import IN_BROWSER, one, press, until, visit
 
 pytestmark = IN_BROWSER
 HIGH_BEAM = (*SMALL, "lighting.base.beam=high", "functions={}", "checks={}")
@@ -82,3 +83,30 @@ def test_figures_of_a_pixel_of_the_camera_are_those_of_its_image(page, served):
     shown = figures(page)
     assert float(lx) > 0.5 and shown["E"] == pytest.approx(float(lx), rel=6e-3)  # three digits
     assert shown["L"] == pytest.approx(float(cd_m2 + scene.base[v, u]), rel=6e-3)
+
+
+def test_a_click_keeps_a_probe_with_the_light_that_the_cursor_told(page, served):
+    page.execute_script("luxloop.store.set({ viewpoint: 'driver', aim: 'probe' })")
+    told = {}
+    for name, css, y in (("probe", ".scene canvas", 20), ("probe_2", ".camera canvas", 30)):
+        hover(page, css, 12, y)
+        ActionChains(page).click().perform()
+        until(page, f"return luxloop.store.state.model.probes.{name}")
+        told[name] = page.execute_script("return luxloop.store.state.meter.readings[0].lx")
+    assert served.scenario.probes["probe"].frame == "world" and min(told.values()) > 0.1
+    press(page, ".")
+    until(page, "return luxloop.store.state.runs[0].rows.count === 2")
+    values = page.execute_script(
+        "return ['probe', 'probe_2'].map((each) => luxloop.store.state.runs[0].rows.column(`probes.${each}.lx`)[1])"
+    )
+    # the probe's place is rounded to 0.1 mm, its normal to 1e-4
+    assert values == pytest.approx([*told.values()], rel=1e-3)
+    text = until(
+        page, "return [...document.querySelectorAll('.scene-labels span')].find((e) => /^probe .* lx/.test(e.innerText))?.innerText"
+    )
+    assert float(text.split()[1]) == pytest.approx(told["probe"], rel=6e-3)  # three digits
+    until(page, "return [...document.querySelectorAll('.chart h3')].some((e) => e.innerText.startsWith('Illuminance on probes'))")
+    page.execute_script("luxloop.store.set({ aim: null })")
+    for left in (1, 0):
+        press(page, Keys.CONTROL, "z")
+        until(page, f"return Object.keys(luxloop.store.state.model.probes).length === {left}")
