@@ -30,7 +30,7 @@ export function readout(store: Studio, meter: Meter): Readout {
     if (sight) ask();
     else output.replaceChildren(h("span", { class: "muted" }, HINT));
   };
-  store.on(["step_version", "scenario"], ask);
+  store.on(["step_version", "scenario", "viewpoint"], ask);
   look(null);
   return { element, look };
 }

@@ -31,7 +31,7 @@ export function worldThings(model: Model): Thing[] {
 
 /** Those on objects are listed, and ride along. */
 function probes(model: Model): Thing[] {
-  return Object.entries(model.probes as Record<string, Table>).map(([name, { frame }]) => {
+  return Object.entries((model.probes ?? {}) as Record<string, Table>).map(([name, { frame }]) => {
     const said = { key: `probes.${name}`, title: name, kind: "probe", sort: frame === "car" ? "car" : "light" } as const;
     return { ...keyed(model, { ...said, keys: listed("position_m") }), placed: frame === "world" || frame === "car" };
   });

@@ -85,6 +85,7 @@ export class SceneView {
     this.labels = new Labels(container);
     this.legend = new Legend(container);
     this.viewpoints = new Viewpoints(this.canvas, () => this.changed());
+    this.viewpoints.onFrame = () => this.relabel();
     this.canvas.addEventListener("webglcontextrestored", () => {
       this.shadows.invalidate();
       this.changed();
@@ -360,8 +361,9 @@ export class SceneView {
 
   private relabel(): void {
     const wall = this.viewpoints.viewpoint === "wall";
-    if (wall) this.wall.lookFrom(this.lampOf(this.beamSide));
-    this.labels.set("wall", wall ? this.wall.labels() : []);
+    const { onWall } = this.viewpoints;
+    if (wall) this.wall.lookFrom(this.lampOf(this.beamSide), onWall.right - onWall.left);
+    this.labels.set("wall", wall ? this.wall.labels(onWall, this.lampOf(null).z) : []);
   }
 
   /** Uniforms of the modules that shine, and their shadow maps. */

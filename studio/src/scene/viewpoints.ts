@@ -14,6 +14,8 @@ const ONCOMING = new Vector3(50, 3.5, 1.2);
 const ONCOMING_AT = new Vector3(0, 0, 0.65);
 const ABOVE = { height: 150, extent: 80, least: 12, most: 240, behind: 0.12 };
 const WALL_DEG = { side: 24, bottom: -8, top: 6 };
+const WHOLE_WALL = { zoom: 1, x: 0, y: 0 } as const;
+const MOST_WALL_ZOOM = 24;
 
 /** Where the orbit camera stands and what it looks at, in m ahead of the car, to its left and up. */
 export interface Orbit {
@@ -35,14 +37,25 @@ export class Viewpoints {
   private readonly flat = new OrthographicCamera(-1, 1, 1, -1, 0.1, 600);
   private readonly controls: OrbitControls;
   private readonly wheel = (event: WheelEvent) => this.onWheel(event);
+  private readonly fit = () => {
+    if (!this.isFlat) return;
+    this.wall = { ...WHOLE_WALL };
+    this.above_m = ABOVE.extent;
+    this.reframe();
+  };
+  private readonly pan = (event: PointerEvent) => this.onPan(event);
   private readonly T_local_heading = new Matrix4();
   private car: Car = { T_local_ground: new Matrix4(), T_local_body: new Matrix4(), lamp_height_m: 0.65 };
   /** Called when the user moves the orbit camera. */
   onMove: ((orbit: Orbit) => void) | null = null;
+  /** Called when another part of the wall or of the ground from above is shown. */
+  onFrame: (() => void) | null = null;
   private moving = false; // by the program
   private aspect = 1;
   private above_m = ABOVE.extent;
-  private wallZoom = 1;
+  /** Middle of what is shown of the wall, in m to the right and up from the middle of all. */
+  private wall: { zoom: number; x: number; y: number } = { ...WHOLE_WALL };
+  private panned: PointerEvent | null = null;
 
   constructor(
     private readonly canvas: HTMLElement,
@@ -58,6 +71,9 @@ export class Viewpoints {
       changed();
     });
     canvas.addEventListener("wheel", this.wheel, { passive: false });
+    canvas.addEventListener("dblclick", this.fit);
+    canvas.addEventListener("pointerdown", this.pan);
+    canvas.addEventListener("pointermove", this.pan);
     this.setOrbit({ eye: ORBIT_FROM, target: ORBIT_AT });
   }
 
@@ -112,6 +128,9 @@ export class Viewpoints {
   dispose(): void {
     this.controls.dispose();
     this.canvas.removeEventListener("wheel", this.wheel);
+    this.canvas.removeEventListener("dblclick", this.fit);
+    this.canvas.removeEventListener("pointerdown", this.pan);
+    this.canvas.removeEventListener("pointermove", this.pan);
   }
 
   private orbiting(): Orbit {
@@ -133,15 +152,12 @@ export class Viewpoints {
       const half = (this.above_m * this.aspect) / 2;
       this.frame(-half, half, -behind, ahead);
     } else if (this.viewpoint === "wall") {
-      const y = (angle: number) => WALL_M * Math.tan(degrees(angle));
-      const [bottom, top, side] = [y(WALL_DEG.bottom), y(WALL_DEG.top), y(WALL_DEG.side)];
       const eye = at(new Vector3(0, 0, lamp_height_m), T_local_body);
       this.flat.up.set(0, 0, 1).transformDirection(T_local_body);
       this.flat.position.copy(eye);
       this.flat.lookAt(at(new Vector3(WALL_M, 0, lamp_height_m), T_local_body));
-      const high = Math.max((top - bottom) / 2, side / this.aspect) / this.wallZoom;
-      const middle = this.wallZoom > 1 ? (top + bottom) / 2 / this.wallZoom : (top + bottom) / 2;
-      this.frame(-high * this.aspect, high * this.aspect, middle - high, middle + high);
+      const { left, right, bottom, top } = this.onWall;
+      this.frame(left, right, bottom, top);
     } else if (this.viewpoint === "driver") {
       this.fixed.fov = 36;
       this.fixed.up.set(0, 0, 1).transformDirection(T_local_body);
@@ -168,8 +184,50 @@ export class Viewpoints {
     event.preventDefault();
     const factor = Math.exp(Math.sign(event.deltaY) * 0.12);
     if (this.viewpoint === "above") this.above_m = Math.min(Math.max(this.above_m * factor, ABOVE.least), ABOVE.most);
-    else this.wallZoom = Math.min(Math.max(this.wallZoom / factor, 1), 12);
+    else {
+      const under = this.wallPoint(event);
+      this.wall.zoom = Math.min(Math.max(this.wall.zoom / factor, 1), MOST_WALL_ZOOM);
+      this.moveWall(under, this.wallPoint(event));
+    }
+    this.reframe();
+  }
+
+  private reframe(): void {
     this.place();
+    this.onFrame?.();
     this.changed();
+  }
+
+  /** Borders of what is shown of the wall, in m to the right of the car's axis and up from the lamps. */
+  get onWall(): { left: number; right: number; bottom: number; top: number } {
+    const y = (angle: number) => WALL_M * Math.tan(degrees(angle));
+    const [least, most, side] = [y(WALL_DEG.bottom), y(WALL_DEG.top), y(WALL_DEG.side)];
+    const whole = Math.max((most - least) / 2, side / this.aspect);
+    const high = whole / this.wall.zoom;
+    const kept = (at: number, room: number) => Math.min(Math.max(at, -room), room);
+    const x = kept(this.wall.x, (whole - high) * this.aspect);
+    const middle = (most + least) / 2 + kept(this.wall.y, whole - high);
+    return { left: x - high * this.aspect, right: x + high * this.aspect, bottom: middle - high, top: middle + high };
+  }
+
+  /** Point of the wall below the pointer, as of `onWall`. */
+  private wallPoint({ offsetX, offsetY }: MouseEvent): { x: number; y: number } {
+    const { left, right, bottom, top } = this.onWall;
+    const { clientWidth, clientHeight } = this.canvas;
+    return { x: left + ((right - left) * offsetX) / clientWidth, y: top - ((top - bottom) * offsetY) / clientHeight };
+  }
+
+  /** Show a point of the wall where another one is. */
+  private moveWall(point: { x: number; y: number }, at: { x: number; y: number }): void {
+    this.wall.x += point.x - at.x;
+    this.wall.y += point.y - at.y;
+  }
+
+  private onPan(event: PointerEvent): void {
+    const before = this.panned;
+    this.panned = event.buttons & 1 ? event : null;
+    if (this.viewpoint !== "wall" || !before || !this.panned || event.type === "pointerdown") return;
+    this.moveWall(this.wallPoint(before), this.wallPoint(event));
+    this.reframe();
   }
 }

@@ -17,12 +17,11 @@ import type { Label } from "./labels.ts";
 import { WALL_M } from "./viewpoints.ts";
 
 const WALL_DEG = { side: 40, bottom: -25, top: 25 };
-const GRID_DEG = { step: 5, side: 30, bottom: -10, top: 10 };
-const LABELLED_DEG = { row: -7.6, column: -22.2 };
-const AXES = [
-  { h: 0, v: -9, text: "horizontal angle to the right" },
-  { h: -22.2, v: 7.4, text: "angle up" },
-];
+const GRID_DEG = { side: 30, bottom: -10, top: 10 };
+const STEPS_DEG = [0.1, 0.2, 0.5, 1, 2, 5] as const;
+const MOST_LINES = 10; // across
+const LABELLED = 0.05; // share of what is shown between its left border and the numbers
+const LOW = { numbers: 0.09, name: 0.04 }; // shares between its lower border and the numbers and the name of their axis
 const BEFORE_M = 0.02; // by which lines stand before the wall
 
 // Blue and orange differ for colour-blind readers as well; the symbols say the same again.
@@ -37,6 +36,7 @@ export class Wall {
   private readonly axes: LineSegments;
   private points: readonly BeamPoint[] = [];
   private origin = new Vector3(0, 0, 0.65);
+  private step_deg = 5;
 
   constructor(white: Material) {
     this.group.matrixAutoUpdate = false;
@@ -45,7 +45,7 @@ export class Wall {
     this.grid = new LineSegments(new BufferGeometry(), new LineBasicMaterial({ color: 0x8fa3b8, transparent: true, opacity: 0.35 }));
     this.axes = new LineSegments(new BufferGeometry(), new LineBasicMaterial({ color: 0xb8c8d8, transparent: true, opacity: 0.75 }));
     this.group.add(this.grid, this.axes);
-    this.lookFrom(this.origin);
+    this.lookFrom(this.origin, 1);
   }
 
   place(T_local_body: Matrix4): void {
@@ -57,27 +57,54 @@ export class Wall {
     this.points = points;
   }
 
-  /** Counts angles from a point in the frame of the body: that of one lamp, or the middle of both. */
-  lookFrom(origin: Vector3): void {
+  /** Counts angles from a point in the frame of the body: that of one lamp, or the middle of both. width_m: of what is shown. */
+  lookFrom(origin: Vector3, width_m: number): void {
+    const across_deg = (2 * Math.atan(width_m / 2 / WALL_M) * 180) / Math.PI;
+    const step = STEPS_DEG.find((each) => each >= across_deg / MOST_LINES) ?? 5;
+    if (this.origin.equals(origin) && this.step_deg === step) return;
     this.origin = origin.clone();
-    const { step, side, bottom, top } = GRID_DEG;
+    this.step_deg = step;
+    const { side, bottom, top } = GRID_DEG;
     const [fine, coarse]: [Vector3[], Vector3[]] = [[], []];
-    for (let h = -side; h <= side; h += step) (h === 0 ? coarse : fine).push(this.at(h, bottom), this.at(h, top));
+    for (const h of multiples(-side, side, step)) (h === 0 ? coarse : fine).push(this.at(h, bottom), this.at(h, top));
     // A line of equal v is a hyperbola on a flat wall.
-    for (let v = bottom; v <= top; v += step) {
+    for (const v of multiples(bottom, top, step)) {
       for (let h = -side; h < side; h++) (v === 0 ? coarse : fine).push(this.at(h, v), this.at(h + 1, v));
     }
-    this.grid.geometry.setFromPoints(fine);
-    this.axes.geometry.setFromPoints(coarse);
+    for (const [lines, points] of [
+      [this.grid, fine],
+      [this.axes, coarse],
+    ] as const) {
+      lines.geometry.dispose();
+      lines.geometry = new BufferGeometry().setFromPoints(points);
+    }
   }
 
-  /** Angles along the lower and the left border, and the test points, in the local frame. */
-  labels(): Label[] {
+  /**
+   * Angles along the lower and the left border, and the test points, in the local frame. shown: borders of what is shown, in m to the right
+   * and up from the height of the lamps.
+   */
+  labels(shown: { left: number; right: number; bottom: number; top: number }, height_m: number): Label[] {
     const angles: Label[] = [];
     const colour = "#b8c8d8";
-    for (let h = -20; h <= 20; h += GRID_DEG.step) angles.push({ at: this.at(h, LABELLED_DEG.row), text: signed(h), colour });
-    for (let v = -5; v <= 5; v += GRID_DEG.step) angles.push({ at: this.at(LABELLED_DEG.column, v), text: signed(v), colour });
-    for (const { h, v, text } of AXES) angles.push({ at: this.at(h, v), text, colour });
+    const { origin, step_deg } = this;
+    const { side, bottom, top } = GRID_DEG;
+    const height = shown.top - shown.bottom;
+    const left = shown.left + LABELLED * (shown.right - shown.left);
+    const low = Math.max(height_m + shown.bottom + LOW.numbers * height, this.at(0, bottom).z);
+    const away = WALL_M - BEFORE_M - origin.x;
+    for (const h of multiples(-side, side, step_deg)) {
+      const { x, y } = this.at(h, 0);
+      if (-y > left) angles.push({ at: new Vector3(x, y, low), text: signed(h), colour });
+    }
+    const at_left = (Math.atan2(left + origin.y, away) * 180) / Math.PI;
+    for (const v of multiples(bottom, top, step_deg)) {
+      const at = this.at(at_left, v);
+      if (at.z > low + LABELLED * height) angles.push({ at, text: signed(v), colour });
+    }
+    const named = (right: number, z: number, text: string) => angles.push({ at: new Vector3(WALL_M - BEFORE_M, -right, z), text, colour });
+    named((shown.left + shown.right) / 2, low - (LOW.numbers - LOW.name) * height, "horizontal angle to the right");
+    named(left, height_m + shown.top - LOW.name * height, "angle up");
     const points = this.points.flatMap((point) => (point.where ? [this.label(point, point.where)] : []));
     return [...angles, ...points].map((label) => ({ ...label, at: label.at.applyMatrix4(this.group.matrix) }));
   }
@@ -101,6 +128,13 @@ export class Wall {
     const [y, z] = [-Math.tan(degrees(h)), Math.tan(degrees(v)) / Math.cos(degrees(h))];
     return new Vector3(1, y, z).multiplyScalar(away).add(this.origin);
   }
+}
+
+/** Multiples of a step from one to the other. */
+function multiples(from: number, to: number, step: number): number[] {
+  const first = Math.ceil(from / step - 1e-9);
+  const count = Math.floor(to / step + 1e-9) - first + 1;
+  return Array.from({ length: Math.max(count, 0) }, (_, k) => Number(((first + k) * step).toFixed(3)) + 0);
 }
 
 function signed(angle: number): string {

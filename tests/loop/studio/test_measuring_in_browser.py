@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from selenium import webdriver
@@ -110,3 +111,45 @@ def test_a_click_keeps_a_probe_with_the_light_that_the_cursor_told(page, served)
     for left in (1, 0):
         press(page, Keys.CONTROL, "z")
         until(page, f"return Object.keys(luxloop.store.state.model.probes).length === {left}")
+
+
+def test_a_line_across_the_wall_is_a_profile_of_the_library(page):
+    page.execute_script("luxloop.store.set({ viewpoint: 'wall', aim: 'line' })")
+    canvas = one(page, ".scene canvas")
+    hover(page, ".scene canvas", -120, -5)
+    ActionChains(page).click_and_hold().move_to_element_with_offset(canvas, 120, -5).release().perform()
+    readings = until(page, "const { readings } = luxloop.store.state.meter; return readings.length > 1 && readings")
+    h, lx = (np.array([each[key] for each in readings]) for key in ("h_deg", "lx"))
+    step = np.diff(h)
+    assert len(h) == 201 and h[0] < -3 and h[-1] > 3 and (step > 0).all() and step.max() < 1.2 * step.min()
+    assert lx.max() > 10 and until(page, "return document.querySelector('.profile canvas')?.checkVisibility()")
+    page.execute_script("luxloop.store.set({ aim: null, viewpoint: 'orbit' })")
+    until(page, "return !document.querySelector('.profile').checkVisibility()")  # a line of the wall is none of the road
+
+
+def test_the_wheel_zooms_the_wall_at_the_cursor_and_labels_never_overlap(page):
+    page.execute_script("luxloop.store.set({ viewpoint: 'wall', rule: 'r149-driving-a' })")
+    until(page, "return [...document.querySelectorAll('.scene-labels span')].some((each) => each.innerText === 'H-V')")
+    x, y = hover(page, ".scene canvas", 60, -10)
+    place = "return luxloop.scenes[0].pick(...arguments)"
+    before, corner = page.execute_script(place, x, y), page.execute_script(place, 5, 5)
+    for turns in (1, 5, 6):
+        script = """const [canvas, x, y, n] = arguments, { left, top } = canvas.getBoundingClientRect();
+            const at = { deltaY: -100, clientX: left + x, clientY: top + y, cancelable: true };
+            for (let k = 0; k < n; k++) canvas.dispatchEvent(new WheelEvent('wheel', at));
+            luxloop.scenes[0].renderNow();"""
+        page.execute_script(script, one(page, ".scene canvas"), x, y, turns)
+        boxes = page.execute_script(
+            "return [...document.querySelectorAll('.scene-labels span:not([aria-hidden])')]"
+            ".filter((each) => each.checkVisibility({ visibilityProperty: true }))"
+            ".map((each) => each.getBoundingClientRect()).map(({ left, top, right, bottom }) => [left, top, right, bottom])"
+        )
+        assert len(boxes) > 5
+        for k, a in enumerate(boxes):
+            # half a pixel: sizes are rounded
+            assert not any(a[0] < b[2] - 0.5 and b[0] < a[2] - 0.5 and a[1] < b[3] - 0.5 and b[1] < a[3] - 0.5 for b in boxes[:k])
+    assert page.execute_script(place, x, y) == pytest.approx(before, abs=0.02)  # m, of the 30 m that were shown; a pixel is 4 cm
+    assert abs(page.execute_script(place, 5, 5)[1] - before[1]) < 0.5 * abs(corner[1] - before[1])
+    page.execute_script("arguments[0].dispatchEvent(new MouseEvent('dblclick'))", one(page, ".scene canvas"))
+    assert page.execute_script(place, 5, 5) == pytest.approx(corner, abs=1e-6)
+    page.execute_script("luxloop.store.set({ rule: '' })")
