@@ -86,39 +86,13 @@ def test_figures_of_a_pixel_of_the_camera_are_those_of_its_image(page, served):
     assert shown["L"] == pytest.approx(float(cd_m2 + scene.base[v, u]), rel=6e-3)
 
 
-def test_a_click_keeps_a_probe_with_the_light_that_the_cursor_told(page, served):
-    page.execute_script("luxloop.store.set({ viewpoint: 'driver', aim: 'probe' })")
-    told = {}
-    for name, css, y in (("probe", ".scene canvas", 20), ("probe_2", ".camera canvas", 30)):
-        hover(page, css, 12, y)
-        ActionChains(page).click().perform()
-        until(page, f"return luxloop.store.state.model.probes.{name}")
-        told[name] = page.execute_script("return luxloop.store.state.meter.readings[0].lx")
-    assert served.scenario.probes["probe"].frame == "world" and min(told.values()) > 0.1
-    press(page, ".")
-    until(page, "return luxloop.store.state.runs[0].rows.count === 2")
-    values = page.execute_script(
-        "return ['probe', 'probe_2'].map((each) => luxloop.store.state.runs[0].rows.column(`probes.${each}.lx`)[1])"
-    )
-    # the probe's place is rounded to 0.1 mm, its normal to 1e-4
-    assert values == pytest.approx([*told.values()], rel=1e-3)
-    text = until(
-        page, "return [...document.querySelectorAll('.scene-labels span')].find((e) => /^probe .* lx/.test(e.innerText))?.innerText"
-    )
-    assert float(text.split()[1]) == pytest.approx(told["probe"], rel=6e-3)  # three digits
-    until(page, "return [...document.querySelectorAll('.chart h3')].some((e) => e.innerText.startsWith('Illuminance on probes'))")
-    page.execute_script("luxloop.store.set({ aim: null })")
-    for left in (1, 0):
-        press(page, Keys.CONTROL, "z")
-        until(page, f"return Object.keys(luxloop.store.state.model.probes).length === {left}")
-
-
 def test_a_line_across_the_wall_is_a_profile_of_the_library(page):
     page.execute_script("luxloop.store.set({ viewpoint: 'wall', aim: 'line' })")
+    page.execute_script("luxloop.store.on(['meter'], ({ meter }) => { if (meter?.readings?.length > 1) window.profile = meter.readings; })")
     canvas = one(page, ".scene canvas")
     hover(page, ".scene canvas", -120, -5)
     ActionChains(page).click_and_hold().move_to_element_with_offset(canvas, 120, -5).release().perform()
-    readings = until(page, "const { readings } = luxloop.store.state.meter; return readings.length > 1 && readings")
+    readings = until(page, "return window.profile?.at(-1).h_deg > 3 && window.profile")  # of the whole line
     h, lx = (np.array([each[key] for each in readings]) for key in ("h_deg", "lx"))
     step = np.diff(h)
     assert len(h) == 201 and h[0] < -3 and h[-1] > 3 and (step > 0).all() and step.max() < 1.2 * step.min()
@@ -153,3 +127,30 @@ def test_the_wheel_zooms_the_wall_at_the_cursor_and_labels_never_overlap(page):
     page.execute_script("arguments[0].dispatchEvent(new MouseEvent('dblclick'))", one(page, ".scene canvas"))
     assert page.execute_script(place, 5, 5) == pytest.approx(corner, abs=1e-6)
     page.execute_script("luxloop.store.set({ rule: '' })")
+
+
+def test_a_click_keeps_a_probe_with_the_light_that_the_cursor_told(page, served):
+    page.execute_script("luxloop.store.set({ viewpoint: 'driver', aim: 'probe' })")
+    told = {}
+    for name, css, y in (("probe", ".scene canvas", 20), ("probe_2", ".camera canvas", 30)):
+        hover(page, css, 12, y)
+        ActionChains(page).click().perform()
+        until(page, f"return luxloop.store.state.model.probes.{name}")
+        told[name] = page.execute_script("return luxloop.store.state.meter.readings[0].lx")
+    assert served.scenario.probes["probe"].frame == "world" and min(told.values()) > 0.1
+    press(page, ".")
+    until(page, "return luxloop.store.state.runs[0].rows.count === 2")
+    values = page.execute_script(
+        "return ['probe', 'probe_2'].map((each) => luxloop.store.state.runs[0].rows.column(`probes.${each}.lx`)[1])"
+    )
+    # the probe's place is rounded to 0.1 mm, its normal to 1e-4
+    assert values == pytest.approx([*told.values()], rel=1e-3)
+    text = until(
+        page, "return [...document.querySelectorAll('.scene-labels span')].find((e) => /^probe .* lx/.test(e.innerText))?.innerText"
+    )
+    assert float(text.split()[1]) == pytest.approx(told["probe"], rel=6e-3)  # three digits
+    until(page, "return [...document.querySelectorAll('.chart h3')].some((e) => e.innerText.startsWith('Illuminance on probes'))")
+    page.execute_script("luxloop.store.set({ aim: null })")
+    for left in (1, 0):
+        press(page, Keys.CONTROL, "z")
+        until(page, f"return Object.keys(luxloop.store.state.model.probes).length === {left}")
