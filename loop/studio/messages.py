@@ -79,8 +79,8 @@ class AskBeam(FromClient):
 class AskMeter(FromClient):
     """Request the light where rays of sight meet the scene, or a wall 25 m ahead, in a step, null for the newest.
 
-    eye_m, through_m: of the world; a ray goes from the eye through each of up to 10,000 points. side: the lamp from which angles and
-    luminous intensities are counted, null for the middle of both and their sum.
+    eye_m, through_m: of the world; a ray goes from the eye through each of up to 3,000 points. side: the lamp to which angles, distance and
+    luminous intensity refer, null for all lamps together; angles start at the mean of their modules' places.
     """
 
     type: Literal["meter"]
@@ -88,7 +88,7 @@ class AskMeter(FromClient):
     step: Number | None = None
     on: Literal["scene", "wall"] = "scene"
     eye_m: Point
-    through_m: tuple[Point, ...] = Field(max_length=10_000)
+    through_m: tuple[Point, ...] = Field(min_length=1, max_length=3000)
     side: Literal["left", "right"] | None = None
 
 

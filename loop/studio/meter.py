@@ -10,6 +10,7 @@ from luxloop.loop.report.picture import WALL_M
 from luxloop.loop.studio.messages import AskMeter
 from luxloop.loop.studio.runs import Run, matrix
 from luxloop.loop.studio.snapshot import bodies_at
+from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import inverse, transform
 from luxloop.world.headlight.lamp import direction
 from luxloop.world.light.emitters import Source, ambient_luminance, surface_light, wall_illuminance
@@ -20,11 +21,16 @@ Columns = dict[str, Sequence[Any]]  # by field of a reading, an item a ray
 
 
 def readings(run: Run, ask: AskMeter) -> dict[str, Any]:
-    """Answer to a request: a reading of each ray, None where it meets nothing. Raises LuxloopError if the step's light is not stored."""
+    """Answer to a request: a reading of each ray, None where it meets nothing.
+
+    Raises LuxloopError if the step's light is not stored, and for a side without a lamp.
+    """
     shown = run.lit_snapshot(ask.step)
     head, sources = shown.head, run.sources(shown)
     T_world_body = matrix(head["T_world_body"])
     of_side = [k for k, module in enumerate(run.simulation.modules) if ask.side in (None, module.side)]
+    if not of_side:
+        raise LuxloopError(f"side: this car has no {ask.side} lamp; give the other one, or null for all lamps")
     lamp = torch.stack([matrix(head["modules"][k]["T_world_module"])[:3, 3] for k in of_side]).mean(0)  # centre of the modules
     eye = torch.tensor(ask.eye_m, dtype=torch.float64)
     rays = torch.tensor(ask.through_m, dtype=torch.float64).T - eye[:, None]  # [3, n]
@@ -78,12 +84,13 @@ def _on_wall(T_lamp_world: Tensor, distance_m: float, eye: Tensor, rays: Tensor,
     """Points `[3, n]` in the world on a wall that stands across the lamp's axis, and its illuminance; nothing shades it."""
     T_world_lamp = inverse(T_lamp_world)
     start, way = transform(T_lamp_world, eye[:, None]), T_lamp_world[:3, :3] @ rays
-    there = start + way * ((distance_m - start[0]) / way[0])
+    share = (distance_m - start[0]) / way[0]
+    there = start + way * share
     x, y, z = there
     h, v = torch.rad2deg(-torch.atan2(y, x)), torch.rad2deg(torch.atan2(z, torch.hypot(x, y)))
     lx = wall_illuminance(sources, T_world_lamp, h, v, distance_m).tolist()
     return transform(T_world_lamp, there), {
-        "surface": ["wall" if bool(each) else "" for each in there.isfinite().all(0)],
+        "surface": ["wall" if each else "" for each in (there.isfinite().all(0) & (share > 0)).tolist()],
         "normal": [(-T_world_lamp[:3, 0]).tolist()] * len(lx),
         "lx": lx,
         "vertical_lx": lx,

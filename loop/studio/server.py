@@ -70,6 +70,10 @@ class Tokens:
         return next((role for role in ("edit", "watch") if secrets.compare_digest(token.encode(), getattr(self, role).encode())), None)
 
 
+Ask = tuple[str, int]  # type of a request, and its run
+Answer = tuple[dict[str, Any], Ask | None]
+
+
 class Client:
     """A client's connection. number: unique. is_here: whether it comes from this machine."""
 
@@ -78,11 +82,11 @@ class Client:
         self.stream: Stream | None = None  # made where PyTorch is imported
         self.request = Request()
         self.is_here = ip_address(connection.remote_address[0]).is_loopback
-        self.changed, self.answers, self.asks = asyncio.Event(), list[dict[str, Any]](), set[tuple[str, int]]()
+        self.changed, self.answers, self.asks = asyncio.Event(), list[Answer](), set[Ask]()
 
-    def reply(self, head: dict[str, Any]) -> None:
-        """Queue an answer."""
-        self.answers.append(head)
+    def reply(self, head: dict[str, Any], ask: Ask | None = None) -> None:
+        """Queue an answer. ask: the request that it answers, of which the client may send the next one once the answer is sent."""
+        self.answers.append((head, ask))
         self.changed.set()
 
     async def send(self, data: bytes) -> None:
@@ -152,7 +156,7 @@ class Studio:
         self._look()
         if role == "edit" and self._pen is None:
             self._pen = client.number
-        client.answers.append({"type": "welcome", "protocol": PROTOCOL, "version": installed_version(), "role": role, "id": client.number})
+        client.reply({"type": "welcome", "protocol": PROTOCOL, "version": installed_version(), "role": role, "id": client.number})
         sender = asyncio.create_task(self._keep_sending(client))
         self._tell()
         try:
@@ -219,17 +223,12 @@ class Studio:
     def _inquire(self, client: Client, message: Message) -> None:
         """Pass a watcher's request to the session, one of a type at a time."""
         ask = message.type, getattr(message, "run", 0)
-
-        def finish(head: dict[str, Any]) -> None:
-            client.asks.discard(ask)
-            client.reply(head)
-
         if ask in client.asks:
             text = f"{message.type}: the last one is not answered yet"
             client.reply({"type": "error", "text": text, "about": message.type, "ask": message.ask})
         else:
             client.asks.add(ask)
-            self.session.ask(message, partial(self._later, finish))
+            self.session.ask(message, partial(self._later, partial(client.reply, ask=ask)))
 
     def _later(self, what: Callable[..., None], *arguments: Any) -> None:
         """Call a function in the event loop, from another thread."""
@@ -266,7 +265,9 @@ class Studio:
             client.changed.clear()
             state = self.session.state
             answers, client.answers = client.answers, []
-            for head in answers:
+            for head, ask in answers:
+                if ask is not None:
+                    client.asks.discard(ask)
                 await client.send(pack(head))
             if state.progress != preparing:
                 preparing = state.progress

@@ -109,3 +109,16 @@ def test_a_ray_into_the_sky_has_no_reading_and_a_step_without_light_says_so(serv
     monkeypatch.setattr(served.run, "snapshots", [type(snapshot)(snapshot.step, snapshot.plain, (), {})])
     watcher.say("meter", eye_m=[0, 0, 1.2], through_m=[[10, 0, 0]])
     assert "no longer kept" in watcher.of("error", about="meter")[0]["text"]
+
+
+def test_a_wall_behind_the_eye_is_not_seen(served, watcher):
+    ahead, behind = measured(watcher, [30, 0, 1.2], [[10, 0, 1.2], [40, 0, 1.2]], on="wall")
+    assert ahead["point_m"] == pytest.approx([25, 0, 1.2]) and behind is None
+
+
+def test_a_side_without_a_lamp_is_refused_in_a_sentence(page_folder):
+    for served in serving(Source("gfhb", (*SMALL, "headlight.lamps=['left']")), page_folder):
+        with watching(served.port, served.tokens.watch) as watcher:
+            watcher.of("scenario")
+            watcher.say("meter", eye_m=[0, 0, 1.2], through_m=[[10, 0, 0]], side="right")
+            assert "has no right lamp" in watcher.of("error", about="meter")[0]["text"]

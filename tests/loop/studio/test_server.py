@@ -324,3 +324,22 @@ def test_what_a_client_asks_waits_on_its_side_while_the_session_is_busy(served, 
         assert session.waiting == MOST_ASKED + 1
         goes_on.set()
         assert [watcher.of("done")[0]["ask"] for _ in range(300)] == list(range(300))
+
+
+def test_answers_do_not_pile_up_for_a_client_that_does_not_read(served):
+    rays, count = [[10 + 0.01 * k, 0, 0] for k in range(3000)], 30
+    with watching(served.port, served.tokens.watch) as watcher:
+        watcher.of("scenario")  # is prepared
+    with connect(f"ws://127.0.0.1:{served.port}/socket", max_size=None, max_queue=1) as deaf:
+        deaf.send(message(type="hello", token=served.tokens.watch))
+        for _ in range(count):  # answers of 1 MB, of which sockets hold some
+            deaf.send(message(type="meter", eye_m=[0, 0, 1.2], through_m=rays))
+            time.sleep(0.4)  # in which a busy machine answers
+        heads, last = [], "schema"
+        deaf.send(message(type=last))
+        while not heads or heads[-1]["type"] != last:
+            heads.append(unpacked(deaf.recv(60))[0])
+        refused = [each["text"] for each in heads if each["type"] == "error"]
+        assert all("not answered yet" in each for each in refused)
+        assert len(refused) + sum(each["type"] == "meter" for each in heads) == count
+        assert len(refused) > count / 2
