@@ -22,6 +22,7 @@ from luxloop.loop.simulation.simulation import Simulation
 COLOURS = (*FOUR, "#56b4e9", "#d55e00", "#000000", "#999999")
 GREYS = (":", "--", "-.")  # line styles of reference beams
 FAINTEST_LX = 0.01  # start of the logarithmic scale of illuminance on objects
+FAINTEST_TI_PERCENT = 0.1  # start of the logarithmic scale of threshold increments
 FEW_STEPS = 30  # steps up to which curves have markers
 
 
@@ -41,6 +42,8 @@ def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, su
         charts[lambda axes: _zones(axes, table, zones)] = 2.0
     if probes := [name for name in table.column_names if name.startswith("probes.") and name.endswith(".lx")]:
         charts[lambda axes: _probes(axes, table, probes)] = 1.4
+    if eyes := [name for name in table.column_names if name.startswith("probes.") and name.endswith(".ti_percent")]:
+        charts[lambda axes: _eyes(axes, table, eyes)] = 1.2
     if any(materials_of(table, quantity) for quantity in UNITS):
         charts[lambda axes: _materials(axes, table)] = 2.0
     shown, looks = brightest(summary["objects"]), simulation.pipeline is not None
@@ -122,6 +125,18 @@ def _probes(axes: Axes, table: pa.Table, probes: Sequence[str]) -> None:
         _curve(axes, table, name, color=colour, label=plain_name(name.split(".")[1]))
     axes.set(ylabel="lx", ylim=(0, None))
     heading(axes, "The lamps' light on probes")
+
+
+def _eyes(axes: Axes, table: pa.Table, eyes: Sequence[str]) -> None:
+    for name, colour in zip(eyes, cycle(COLOURS), strict=False):
+        most = np.fmax.reduce(column(table, name))
+        label = plain_name(name.split(".")[1]) + ("" if most else ": 0 % throughout")
+        _curve(axes, table, name, color=colour, label=label)
+    axes.set(ylabel="TI in %")
+    axes.set_yscale("symlog", linthresh=FAINTEST_TI_PERCENT)
+    axes.set_ylim(bottom=-FAINTEST_TI_PERCENT / 10)
+    axes.yaxis.set_major_formatter(lambda percent, _: f"{percent:g}")
+    heading(axes, "Threshold increment by the lamps in eyes")
 
 
 def _materials(axes: Axes, table: pa.Table) -> None:

@@ -4,9 +4,12 @@ import math
 
 import pytest
 import torch
+from matplotlib.figure import Figure
 
 from luxloop import LuxloopError, Simulation, load, run
+from luxloop.loop.recording.manifest import table_of
 from luxloop.loop.recording.record import row, schema
+from luxloop.loop.report.courses import write_courses
 from luxloop.loop.simulation.check import check_truth
 
 CAMERA = {"width_px": 160, "height_px": 90, "oversampling": 1}
@@ -106,6 +109,23 @@ def test_an_eye_that_rides_along_tells_masked_from_unmasked_light(tmp_path):
     mask = {"guard": {"kind": "glare_free"}}
     result = run(load("gfhb", camera=CAMERA, steps=6, functions=mask, **values), tmp_path / "run", video=False, report=False, checks=True)
     assert result.summary["checks"]["masked"]["passed"], "a ratio of 0 to 0 would be 1: the eye is dazzled without the mask"
+
+
+def test_the_report_draws_the_threshold_increment_of_eyes_alone():
+    eye = {"position_m": [50.0, 3.5, 1.1], "facing": [-1.0, 0.0, 0.0], "adaptation_cd_m2": 0.5}
+    simulation, result = lit({"eye": eye, "meter": {"position_m": [50.0, 0.0, 0.3]}})
+    figure = Figure()
+    write_courses(figure.add_subfigure(figure.add_gridspec()[0]), simulation, table_of([row(result)], schema(simulation)), {"objects": {}})
+    (drawn,) = (axes for axes in figure.axes if axes.get_ylabel() == "TI in %")
+    (curve,) = drawn.lines
+    assert curve.get_label() == "eye" and curve.get_ydata() == [result.glare["eye"].ti_percent] and figure.axes[-1].get_xlabel() == "s"
+
+
+@pytest.mark.slow
+def test_eyes_of_the_shipped_sensors_are_dazzled_without_the_mask(tmp_path):
+    scenario = load("sensors", ["functions.guard_traffic={}"])
+    checks = run(scenario, tmp_path / "run", video=False, report=False, checks=True).summary["checks"]
+    assert {name for name, each in checks.items() if not each["passed"]} == {"oncoming_driver_not_dazzled", "preceding_driver_not_dazzled"}
 
 
 def test_an_eye_that_looks_nowhere_is_refused():
