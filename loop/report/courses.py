@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
-from matplotlib.ticker import LogFormatter
+from matplotlib.ticker import LogFormatter, SymmetricalLogLocator
 
 from luxloop.controllers.functions.commands import MOVEMENTS
 from luxloop.loop.recording.functions_summary import START_UP_S, UNITS, brightest, materials_of, plain_name, reference_power, zones_of
@@ -22,7 +22,7 @@ from luxloop.loop.simulation.simulation import Simulation
 COLOURS = (*FOUR, "#56b4e9", "#d55e00", "#000000", "#999999")
 GREYS = (":", "--", "-.")  # line styles of reference beams
 FAINTEST_LX = 0.01  # start of the logarithmic scale of illuminance on objects
-FAINTEST_TI_PERCENT = 0.1  # start of the logarithmic scale of threshold increments
+TI_PERCENT = (1.0, 10.0)  # start of the logarithmic scale of threshold increments, and its least upper end
 FEW_STEPS = 30  # steps up to which curves have markers
 
 
@@ -43,7 +43,7 @@ def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, su
     if probes := [name for name in table.column_names if name.startswith("probes.") and name.endswith(".lx")]:
         charts[lambda axes: _probes(axes, table, probes)] = 1.4
     if eyes := [name for name in table.column_names if name.startswith("probes.") and name.endswith(".ti_percent")]:
-        charts[lambda axes: _eyes(axes, table, eyes)] = 1.2
+        charts[lambda axes: _eyes(axes, table, eyes)] = 1.6
     if any(materials_of(table, quantity) for quantity in UNITS):
         charts[lambda axes: _materials(axes, table)] = 2.0
     shown, looks = brightest(summary["objects"]), simulation.pipeline is not None
@@ -132,9 +132,13 @@ def _eyes(axes: Axes, table: pa.Table, eyes: Sequence[str]) -> None:
         most = np.fmax.reduce(column(table, name))
         label = plain_name(name.split(".")[1]) + ("" if most else ": 0 % throughout")
         _curve(axes, table, name, color=colour, label=label)
-    axes.set(ylabel="TI in %")
-    axes.set_yscale("symlog", linthresh=FAINTEST_TI_PERCENT)
-    axes.set_ylim(bottom=-FAINTEST_TI_PERCENT / 10)
+    start, least = TI_PERCENT
+    axes.set_ylabel("TI in %")
+    axes.set_yscale("symlog", linthresh=start)
+    axes.set_ylim(-start / 10, max(least, 1.5 * axes.dataLim.ymax))
+    ticks = SymmetricalLogLocator(base=10, linthresh=start)
+    ticks.set_params(numticks=4)
+    axes.yaxis.set_major_locator(ticks)
     axes.yaxis.set_major_formatter(lambda percent, _: f"{percent:g}")
     heading(axes, "Threshold increment by the lamps in eyes")
 
