@@ -63,7 +63,7 @@ class Raster:
 
 
 @dataclass(frozen=True, eq=False)
-class FittedModule:
+class PlaneModule:
     """A module with its pose `[4, 4]` in the frame of the plane, and its present and largest utilisation, `[n_p]` each."""
 
     headlight: Headlight
@@ -97,7 +97,7 @@ class PlaneLight:
         return float((self.error_lx.abs() * (self.weight > 0)).max())
 
 
-def fit_plane(lamps: Sequence[FittedModule], raster: Raster, wanted_lx: Tensor, where: Tensor, iterations: int = ITERATIONS) -> PlaneLight:
+def fit_plane(lamps: Sequence[PlaneModule], raster: Raster, wanted_lx: Tensor, where: Tensor, iterations: int = ITERATIONS) -> PlaneLight:
     """Utilisations with the least squared error of the whole field, in 255 steps, within the limits of the pixels.
 
     wanted_lx: target `[cells]` in lx. where: `[cells]` bool, cells with a target; the rest of the field keeps its light. Pixels that light

@@ -230,7 +230,7 @@ def measure(
     beam: str | None = None,
     side: Literal["both", "left", "right"] | None = None,
     traffic: Literal["left", "right"] = "right",
-    step_deg: float = 0.5,
+    step_deg: float | None = None,
     out: Path | None = None,
 ) -> None:
     """Measure a beam: cd and lx by direction, over a wall, or lx at places on a flat road.
@@ -253,7 +253,7 @@ def measure(
     traffic
         Side of the road that the traffic drives on; for the left, default beams are fitted to it.
     step_deg
-        Step of both angles over a wall in deg.
+        Step of both angles over a wall in deg; by default 0.5.
     out
         File for all values (.csv); by default a table is printed.
     """
@@ -270,6 +270,8 @@ def measure(
         raise LuxloopError(f"--wall {wall:g}: give a distance greater than 0 m")
     if wall is not None and out is None:
         raise LuxloopError(f"--wall {wall:g}: has too many values for a table; give --out FILE.csv")
+    if step_deg is not None and wall is None:
+        raise LuxloopError("--step-deg: is the step over a --wall; leave it out, or give a line as H,V:H,V:COUNT")
     if out is not None and out.suffix.lower() != ".csv":
         raise LuxloopError(f"--out {out}: gives no format of values; end it in .csv")
     sides: Sequence[Literal["left", "right"]] = (
@@ -287,7 +289,9 @@ def measure(
     elif at:
         values = measuring.towards(first, name, measuring.points(at, "HV", measuring.LIMITS_DEG, "--at"))
     else:
-        values = measuring.towards(first, name, measuring.grid(first, step_deg), wall or measuring.SCREEN_M)
+        values = measuring.towards(
+            first, name, measuring.grid(first, measuring.STEP_DEG if step_deg is None else step_deg), wall or measuring.SCREEN_M
+        )
     title = f"{first.name}, beam {name}, {' and '.join(sides)} lamp{'s' * (len(sides) > 1)}"
     if out is None:
         tables.show(headlight_tables.measured(values, title))

@@ -18,6 +18,8 @@ from luxloop.world.headlight.lamp import Lamp, direction
 SCREEN_M = 25.0  # distance of the aiming screen
 LINE_POINTS = 51
 MOST_POINTS = 2_000_000
+STEP_DEG = 0.5  # of a wall's grid by default
+FINEST_DEG = 0.001  # least step
 WALL_DEG = 80.0  # largest angle of a wall's grid, as of light textures
 LIMITS_DEG = (89.0, 89.0)  # beyond, a wall is out of reach
 LIMITS_M = (1000.0, 1000.0, 100.0)
@@ -61,8 +63,8 @@ def grid(lamp: Lamp, step_deg: float) -> Tensor:
     step_deg: of both angles. Raises LuxloopError for one out of range or too fine.
     """
     left, right, bottom, top = lamp.field_deg if lamp.modules else (WALL_DEG, -WALL_DEG, -WALL_DEG, WALL_DEG)
-    if not 0 < step_deg <= WALL_DEG:
-        raise LuxloopError(f"--step-deg {step_deg:g}: give a step above 0 and up to {WALL_DEG:g} deg")
+    if not FINEST_DEG <= step_deg <= WALL_DEG:
+        raise LuxloopError(f"--step-deg {step_deg:g}: give a step of {FINEST_DEG:g} to {WALL_DEG:g} deg")
     first_last = [
         (math.ceil(max(low, -WALL_DEG) / step_deg), math.floor(min(high, WALL_DEG) / step_deg))
         for low, high in ((bottom, top), (-left, -right))

@@ -32,7 +32,8 @@ from luxloop.world.traffic.tracked import KeyframeParams
 LAMP_M: Final = 0.3  # by which a lamp's point lies inside its body
 NOSE_M: Final = 0.05  # from the own car's lamps to its front end
 EDGE_M: Final = 0.4  # of the asphalt beyond a lane
-BEHIND_M: Final = (20.0, 80.0)  # behind the car up to which the road is seen: from behind it, and by those who come towards it
+BEHIND_M: Final = 20.0  # behind the car up to which the road is seen from behind it
+BEHIND_ONCOMING_M: Final = 80.0  # and from an oncoming car
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +124,8 @@ class Onlooker:
         road, T_world_ground = self.world.scene.bodies[0], lit.vehicle.T_world_ground
         if not isinstance(road, Ground):
             return ()
-        near = road.near(0, T_world_ground @ pose_from_degrees((-BEHIND_M[self.rides is not None], 0.0, 0.0)))
+        behind_m = BEHIND_M if self.rides is None else BEHIND_ONCOMING_M
+        near = road.near(0, T_world_ground @ pose_from_degrees((-behind_m, 0.0, 0.0)))
         T_ground_world = inverse(T_world_ground)
         return tuple(each for each in near if each not in lit.triangles.placed and transform(T_ground_world, each.box.T)[0].mean() < 0)
 

@@ -135,7 +135,7 @@ class Scenario(Params):
     judge_every: int = Field(1, ge=0, le=100_000, description="steps from one evaluation of a symbol under control to the next; 0: none")
     judge_projections: bool = Field(
         False,
-        description="in these steps, also evaluate all symbols on the road as the driver sees them: place, intensity, contrast, strokes",
+        description="evaluate symbols on the road as the driver sees them, in steps of judge_every: place, intensity, contrast, strokes",
     )
     off_share: float = Field(0.5, gt=0, lt=1, description="share of a control step for which symbols under control are off")
     conditions: tuple[RoadConditionParams, ...] = Field(
@@ -166,7 +166,9 @@ class Scenario(Params):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        for sentence in chain.from_iterable(topic(self) for topic in (_lamps, _modules, _exposures, _detection, _probes, _order)):
+        for sentence in chain.from_iterable(
+            topic(self) for topic in (_lamps, _modules, _exposures, _projections, _detection, _probes, _order)
+        ):
             raise ValueError(sentence)
         return self
 
@@ -276,6 +278,14 @@ def _exposures(scenario: Scenario) -> Iterator[str]:
         for k, each in enumerate(getattr(scenario.disturbances, key)):
             if each.frames == "off":
                 yield f"disturbances.{key}[{k}].frames: without a held symbol, steps have no off frame; leave it out"
+
+
+def _projections(scenario: Scenario) -> Iterator[str]:
+    """An evaluation of symbols on the road without symbols or steps."""
+    if scenario.judge_projections and not scenario.projections:
+        yield "judge_projections: there is no symbol on the road here, so it has no effect; leave it out"
+    if scenario.judge_projections and not scenario.judge_every:
+        yield "judge_projections: judge_every = 0 evaluates no step; set it to 1 or more, or leave judge_projections out"
 
 
 def _detection(scenario: Scenario) -> Iterator[str]:

@@ -37,7 +37,7 @@ from luxloop.loop.simulation.light_figures import (
     on_objects,
 )
 from luxloop.loop.simulation.probes import illuminance_at, veils_at
-from luxloop.loop.simulation.projections import Course, SeenProjection, look_at
+from luxloop.loop.simulation.projections import Course, ProjectionMetrics, projection_metrics
 from luxloop.loop.simulation.result import Clock, Lights, StepResult, mean_lights, without
 from luxloop.loop.simulation.road_metrics import over_setpoint
 from luxloop.loop.simulation.world import ObjectLight, World, categories
@@ -109,9 +109,9 @@ class Evaluation(StepResult):
     `[height, width]` cd/m^2 of all light. Both are in the camera's view, computed on access, None without the truth. objects: recorded
     objects by name. detections: None without a detector. symbols: symbols for an observer, in the observer's view. held: closed-loop
     symbols by name. zones, materials: by name. road_lx_ratio_max: see `over_setpoint`, None in a step without evaluation. oncoming_s:
-    start times, by name, of near oncoming road users. probes: illuminance in lx by name, a mean over the exposures. glare: in the eyes
-    at them. projections: shown
-    symbols as the driver sees them, by name; none in a step without evaluation, or without `judge_projections`.
+    start times, by name, of near oncoming road users. probes: illuminance in lx by name, a mean over the exposures. glare: by name of a
+    probe that is an eye. projections: symbols on the road as the driver sees them, by name; none in a step without evaluation, or without
+    `judge_projections`.
     """
 
     masked: frozenset[str]
@@ -127,7 +127,7 @@ class Evaluation(StepResult):
     oncoming_s: Mapping[str, float]
     probes: Mapping[str, float]
     glare: Mapping[str, Glare]
-    projections: Mapping[str, SeenProjection]
+    projections: Mapping[str, ProjectionMetrics]
 
     @property
     def symbol(self) -> SymbolStep:
@@ -216,9 +216,9 @@ class Evaluator:
 
     def _glare(self, result: StepResult) -> Mapping[str, Glare]:
         """Glare in the eyes at probes, by name."""
-        if (world := self.world) is None:
-            return {}
         eyes = {name: each for name, each in self.scenario.probes.items() if each.adaptation_cd_m2 is not None}
+        if (world := self.world) is None or not eyes:
+            return {}
         veils = self._mean(result, partial(veils_at, eyes, world, age_years=self.scenario.video.age_years))
         return {name: Glare(veil, threshold_increment(veil, eyes[name].adaptation_cd_m2 or math.nan)) for name, veil in veils.items()}
 
@@ -232,7 +232,7 @@ class Evaluator:
         assert self.world is not None
         return Course.of(self.world.motion, self.scenario.steps / self.scenario.rate_hz)
 
-    def _projections(self, result: StepResult) -> Mapping[str, SeenProjection]:
+    def _projections(self, result: StepResult) -> Mapping[str, ProjectionMetrics]:
         """Shown symbols on the road, by name."""
         assert self.world is not None
         found, now, planning = {}, result.now, result.planning
@@ -240,7 +240,7 @@ class Evaluator:
         for name, symbol in self.scenario.projections.items():
             if planning.drawn.get(name) or name in planning.projections:
                 off = result.exposures[-1].lights if planning.measured == (name,) else self._lights_without(result, name)
-                found[name] = look_at(self.world, self._course, symbol, now.time_s, lights, off, now.commands)
+                found[name] = projection_metrics(self.world, self._course, symbol, now.time_s, lights, off, now.commands)
         return found
 
     def _lights_without(self, result: StepResult, name: str) -> tuple[Utilisation, ...]:

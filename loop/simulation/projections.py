@@ -30,7 +30,7 @@ COURSE_S: Final = 0.1  # between the places that give the course
 
 
 @dataclass(frozen=True)
-class SeenProjection:
+class ProjectionMetrics:
     """A projection in one step, in light averaged over its exposures; NaN where none of it is seen.
 
     aside_m: largest distance from the vehicle's course. near_m, far_m: least and largest distance ahead of the lamps. cd_max: largest
@@ -73,7 +73,7 @@ class Course(NamedTuple):
         return (y_m - np.interp(x_m, self.x_m, self.y_m)) * np.cos(np.interp(x_m, self.x_m, self.heading))
 
 
-def look_at(
+def projection_metrics(
     world: World,
     course: Course,
     symbol: SymbolFunctionParams,
@@ -81,15 +81,15 @@ def look_at(
     lights: Sequence[Tensor],
     without: Sequence[Utilisation],
     commands: Commands = (),
-) -> SeenProjection:
-    """A symbol at a time. lights: utilisations `[n_p]` with it, a mean over time; without: the same without it, one a module."""
+) -> ProjectionMetrics:
+    """Metrics of a symbol at a time. lights: utilisations `[n_p]` with it, a mean over time; without: without it, one a module."""
     view = driver_view(symbol)
     seen = world.through(view, time_s)
     dark = seen.light([each.u for each in without], commands)[1] + seen.base
     luminance = seen.light(lights, commands)[1] + seen.base
     added = torch.where(seen.surfaces.object_id == 0, luminance - dark, 0.0).clamp(min=0)
     if not bool(added.any()):
-        return SeenProjection()
+        return ProjectionMetrics()
     median = added[added > THRESHOLD * added.max()].median()
     lit = added > THRESHOLD * median
     arcmin = 60 * math.degrees(1 / view.fx)
@@ -99,7 +99,7 @@ def look_at(
     places = seen.surfaces.position[:, lit].double().cpu()
     x_m = transform(inverse(world.motion.at(time_s).T_world_ground), places)[0]
     cd, h_deg, v_deg = _from_lamps(seen, lights, commands, places[:, :: math.ceil(places.shape[1] / PLACES)])
-    return SeenProjection(
+    return ProjectionMetrics(
         aside_m=float(np.abs(course.aside_m(places[0].numpy(), places[1].numpy())).max()),
         near_m=float(x_m.min()),
         far_m=float(x_m.max()),

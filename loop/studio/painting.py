@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.functions.base_beams import PaintedParams, Picture
-from luxloop.controllers.pixels.jpo_plane import FittedModule, Raster, fit_plane, lighting
+from luxloop.controllers.pixels.jpo_plane import PlaneModule, Raster, fit_plane, lighting
 from luxloop.loop.report.picture import WALL_M
 from luxloop.loop.simulation.redrawn import mask_limits
 from luxloop.loop.simulation.simulation import Simulation
@@ -78,7 +78,7 @@ def wish(run: Run, message: Wish, arrays: Arrays) -> Answer:
     T_plane_world = inverse(matrix(head["T_world_ground"]) if message.on == "road" else matrix(head["T_world_body"]) @ T_BODY_WALL)
     limits = mask_limits(*run.shown) if message.over else tuple(map(torch.ones_like, lights))
     posed = [T_plane_world @ each for each in poses]
-    modules = [FittedModule(each.headlight, *rest) for each, *rest in zip(run.simulation.modules, posed, lights, limits, strict=True)]
+    modules = [PlaneModule(each.headlight, *rest) for each, *rest in zip(run.simulation.modules, posed, lights, limits, strict=True)]
     there = torch.from_numpy(where).flatten()
     goal = torch.from_numpy(np.where(where, lx, 0).astype(np.float32)).flatten()
     found = fit_plane(modules, raster, goal, there)

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop.controllers.pixels.jpo_plane import FittedModule, Raster, fit_plane, lighting
+from luxloop.controllers.pixels.jpo_plane import PlaneModule, Raster, fit_plane, lighting
 from luxloop.world.frames import inverse, pose_from_degrees, transform
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.presets import lamp
@@ -22,9 +22,9 @@ def lights() -> tuple[Headlight, Headlight]:
     return tuple(lamp("hd84", side).modules[0].headlight for side in ("left", "right"))  # type: ignore[return-value]
 
 
-def fitted(light: Headlight, pose: Tensor, u: Tensor) -> FittedModule:
+def fitted(light: Headlight, pose: Tensor, u: Tensor) -> PlaneModule:
     """A module without limits."""
-    return FittedModule(light, pose, u, torch.ones_like(u))
+    return PlaneModule(light, pose, u, torch.ones_like(u))
 
 
 def illuminance(light: Headlight, pose: Tensor, u: Tensor, points: Tensor) -> Tensor:
@@ -75,7 +75,7 @@ def test_no_pixel_exceeds_its_limit(lights):
     where = torch.zeros(64, 32, dtype=torch.bool)
     where[:, 12:20] = True
     limit = torch.linspace(0, 1, 84)
-    now = [FittedModule(light, pose, torch.ones(84), limit) for light, pose in zip(lights, POSES, strict=True)]
+    now = [PlaneModule(light, pose, torch.ones(84), limit) for light, pose in zip(lights, POSES, strict=True)]
     found = fit_plane(now, RASTER, torch.full((64 * 32,), 100.0), where.flatten())
     for u, chosen in zip(found.u, found.chosen, strict=True):
         assert (u[chosen] <= limit[chosen]).all() and (u[chosen] > limit[chosen] - 1 / 255).any() and (u[~chosen] == 1).all()

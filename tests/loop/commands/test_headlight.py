@@ -133,6 +133,8 @@ IMPOSSIBLE = {  # what is said of a command line, in parts
     "measure hd84 --wall 25": "--wall 25 | --out FILE.csv",
     "measure hd84 --wall 0 --out a.csv": "--wall 0 | greater than 0",
     "measure hd84 --wall 25 --out a.csv --step-deg 0.001": "--step-deg 0.001 | larger step",
+    "measure hd84 --wall 25 --out a.csv --step-deg 1e-320": "--step-deg 9.99989e-321 | 0.001",
+    "measure hd84 --at 0,0 --step-deg 1": "--step-deg | --wall",
     "measure hd84 --at 0,0 --side both": "--side both | left or right",
     "measure hd84 --at 0,0 --out a.txt": "--out a.txt | .csv",
     "measure hd84 --at 0,0 --out no/where/a.csv": "no/where/a.csv | cannot be written",

@@ -178,6 +178,7 @@ def test_a_class_with_a_dot_for_its_colon_is_told_how_to_be_written():
     [
         ("snowflake", "detector_frames=off", "detector_frames: there is no detector here"),
         ("snowflake", "detector_every=2", "detector_every: there is no detector here"),
+        ("obl", "judge_projections=true", "judge_projections: there is no symbol on the road here"),
         ("obl", "detector_frames=off", "detector_frames: there is no symbol that a controller holds here"),
         ("obl", "off_share=0.3", "off_share: no controller holds a symbol here; leave it out"),
         ("obl", "disturbances.ambient=[{factor=2.0, frames='off'}]", "disturbances.ambient[0].frames: without a held symbol"),
@@ -187,6 +188,10 @@ def test_a_class_with_a_dot_for_its_colon_is_told_how_to_be_written():
 )
 def test_what_means_nothing_without_something_else_is_told(name, override, said):
     assert said in failure(name, override)
+
+
+def test_projections_without_an_evaluated_step_are_refused():
+    assert "judge_projections: judge_every = 0 evaluates no step" in failure("snowflake", "judge_projections=true", "judge_every=0")
 
 
 DEEP, LONG = "[" * 3000 + "]" * 3000, "9" * 5000
