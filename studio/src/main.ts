@@ -61,6 +61,7 @@ const borders = layout(store);
 const main = h(
   "main",
   {},
+  measures.profile,
   scenes.element,
   borders.columns,
   cameraPanel(store, measures),

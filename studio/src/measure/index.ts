@@ -26,6 +26,7 @@ const WALL_CSV_DEG = { side: 24, bottom: -8, top: 6, step: 0.5 };
 
 export interface Measuring {
   element: HTMLElement;
+  profile: HTMLElement;
   /** The cursor is on a pixel of the camera's picture, null: it is outside. */
   hover(pixel: Pixel | null): void;
   /** A pixel is pressed; returns whether something is measured there. */
@@ -46,7 +47,7 @@ export function measuring(store: Studio, session: Session, scenes: ScenesPanel, 
     line.show(aim === "line");
     wall.hidden = viewpoint !== "wall";
   });
-  const profile = new Profile(store, meter, scenes.body);
+  const profile = new Profile(store, meter);
 
   /** Through a pixel of a scene's canvas, in CSS pixels. */
   const inScene = (run: number, x: number, y: number): Sight | null => {
@@ -151,6 +152,7 @@ export function measuring(store: Studio, session: Session, scenes: ScenesPanel, 
   document.addEventListener("keydown", ({ key }) => key === "Escape" && store.set({ aim: null }));
   return {
     element,
+    profile: profile.element,
     hover: (pixel) => look(pixel && (() => throughCamera(store, pixel))),
     press(pixel) {
       if (store.state.aim !== "probe") return false;

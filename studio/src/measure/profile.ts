@@ -13,7 +13,6 @@ import type { Meter, Sight } from "./meter.ts";
 const POINTS = 201;
 const COLOUR = "#f0e442";
 const INK = "#b4bcc8";
-const SIZE = { width: 340, height: 150 };
 const QUANTITIES = {
   lx: "E, surface (lx)",
   vertical_lx: "Ev, upright (lx)",
@@ -44,7 +43,6 @@ export class Profile {
   constructor(
     private readonly store: Studio,
     private readonly meter: Meter,
-    body: HTMLElement,
   ) {
     this.#line.renderOrder = 4;
     this.#line.frustumCulled = false;
@@ -56,7 +54,7 @@ export class Profile {
     const close = signButton("close", "Remove the line", () => this.show(null));
     this.element = h("figure", { class: "profile" }, h("figcaption", {}, "Profile", quantity, csv, close), this.#room);
     this.element.hidden = true;
-    body.append(this.element);
+    new ResizeObserver(() => this.#draw()).observe(this.#room);
     store.on(["step_version"], () => this.#ask());
     store.on(["scenario", "viewpoint"], () => this.show(null));
   }
@@ -133,7 +131,8 @@ export class Profile {
     this.#plot?.destroy();
     this.#plot = new uPlot(
       {
-        ...SIZE,
+        width: this.#room.clientWidth,
+        height: this.#room.clientHeight,
         legend: { show: false },
         scales: { x: { time: false } },
         axes: [
