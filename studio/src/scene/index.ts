@@ -6,6 +6,7 @@ import type { BeamPoint, MeshesMessage, Run, StepMessage } from "../protocol.ts"
 import { Bodies } from "./bodies.ts";
 import { Fog } from "./fog.ts";
 import { LocalFrame } from "./frames.ts";
+import { IsoluxNumbers } from "./isolux.ts";
 import { type Label, Labels } from "./labels.ts";
 import { Legend } from "./legend.ts";
 import { LightAtlas } from "./light_atlas.ts";
@@ -55,6 +56,7 @@ export class SceneView {
   private readonly wall = new Wall(this.materials.ofVertices(false));
   private readonly viewpoints: Viewpoints;
   private readonly pace: Pace;
+  private readonly isolux: IsoluxNumbers;
   private readonly labels: Labels;
   private readonly legend: Legend;
   private readonly resizing: ResizeObserver;
@@ -82,6 +84,7 @@ export class SceneView {
     this.shadows = new ShadowMaps(this.renderer, this.uniforms);
     this.fog = new Fog(this.renderer, this.uniforms);
     this.scene.add(this.bodies.group, this.wall.group, this.markers.group, this.fog.sky, this.overlay);
+    this.isolux = new IsoluxNumbers(this.renderer, this.uniforms);
     this.labels = new Labels(container);
     this.legend = new Legend(container);
     this.viewpoints = new Viewpoints(this.canvas, () => this.changed());
@@ -278,6 +281,7 @@ export class SceneView {
       this.markers,
       this.wall,
       this.materials,
+      this.isolux,
       this.labels,
       this.legend,
     ])
@@ -419,6 +423,7 @@ export class SceneView {
       this.fog.sky.visible = fog;
     }
     this.overlay.visible = !wall;
+    this.labels.set("isolux", current.isolux && step ? this.isolux.labels(this.scene, camera) : []);
     this.renderer.render(this.scene, camera);
     this.labels.update(camera, this.container.clientWidth, this.container.clientHeight, this.legend.corner);
   }

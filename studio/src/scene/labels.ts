@@ -8,6 +8,8 @@ export interface Label {
   /** Shown while the pointer is on it. */
   detail?: string;
   colour: string;
+  /** Behind the text, where that is not nearly black. */
+  ground?: string;
   /** Drawn at the point itself, with the text beside it; without one, the text is centred on the point. */
   symbol?: "disc" | "cross" | "ring";
 }
@@ -46,6 +48,7 @@ export class Labels {
   }
 
   set(owner: string, labels: readonly Label[]): void {
+    if (!labels.length && !this.owners.get(owner)?.length) return;
     this.owners.set(owner, labels.map(drawn));
     this.layer.replaceChildren(...this.all.map(({ element }) => element));
   }
@@ -113,12 +116,12 @@ function overlap(a: Box, b: Box): boolean {
 const GROUND = { background: "#000b", borderRadius: "3px", padding: "1px 2px" };
 const CENTRED = { position: "absolute", transform: "translate(-50%, -50%)", whiteSpace: "nowrap" };
 
-function drawn({ at, text, detail, colour, symbol }: Label): Drawn {
+function drawn({ at, text, detail, colour, ground, symbol }: Label): Drawn {
   const element = document.createElement("div");
   const words = document.createElement("span");
   Object.assign(element.style, { position: "absolute", color: colour });
   words.textContent = text;
-  Object.assign(words.style, CENTRED, GROUND, symbol ? { fontSize: "10px" } : {});
+  Object.assign(words.style, CENTRED, GROUND, symbol ? { fontSize: "10px" } : {}, ground ? { background: ground } : {});
   if (symbol) {
     const mark = document.createElement("span");
     mark.textContent = SYMBOLS[symbol];

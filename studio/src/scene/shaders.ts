@@ -205,6 +205,7 @@ ${COLOUR_MAP_GLSL}
 uniform mat4 viewMatrix;
 uniform bool lux;
 uniform bool lines;
+uniform bool numbers; // of the lines are sought: colours are places and the illuminance that they show
 uniform vec3 ground_up;
 const float ROUGH_M = 0.08;
 uniform bool fog;
@@ -239,7 +240,13 @@ void main() {
   if (lines) {
     // On a rough road every bump would have lines of its own, so they are those of the road's mean plane.
     vec3 level = dot(normal, ground_up) > 0.9 ? ground_up : normal;
-    line = isolux(log(max(lamps_lx(at, level, level, ROUGH_M), 1e-3)) / log(10.0));
+    float level_lx = lamps_lx(at, level, level, ROUGH_M);
+    if (numbers) {
+      bool numbered = !shadows || level == ground_up; // the wall, or the road: lines on objects are short
+      colour = vec4(at, numbered ? level_lx : 0.0);
+      return;
+    }
+    line = isolux(log(max(level_lx, 1e-3)) / log(10.0));
   }
   vec3 shade;
   if (lux) {

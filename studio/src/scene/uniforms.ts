@@ -50,6 +50,7 @@ export function sharedUniforms() {
     luminance_gain: { value: 1 },
     lux: { value: false },
     lines: { value: false },
+    numbers: { value: false },
     ground_up: { value: new Vector3(0, 0, 1) },
     fog: { value: false },
     eye_extinction_per_m: { value: 0 },

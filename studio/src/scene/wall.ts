@@ -12,6 +12,7 @@ import {
   Vector3,
 } from "three";
 import type { BeamPoint } from "../protocol.ts";
+import { SOLID } from "./bodies.ts";
 import { degrees } from "./frames.ts";
 import type { Label } from "./labels.ts";
 import { WALL_M } from "./viewpoints.ts";
@@ -41,7 +42,9 @@ export class Wall {
   constructor(white: Material) {
     this.group.matrixAutoUpdate = false;
     this.group.visible = false;
-    this.group.add(new Mesh(sheet(), white));
+    const wall = new Mesh(sheet(), white);
+    wall.layers.enable(SOLID);
+    this.group.add(wall);
     this.grid = new LineSegments(new BufferGeometry(), new LineBasicMaterial({ color: 0x8fa3b8, transparent: true, opacity: 0.35 }));
     this.axes = new LineSegments(new BufferGeometry(), new LineBasicMaterial({ color: 0xb8c8d8, transparent: true, opacity: 0.75 }));
     this.group.add(this.grid, this.axes);

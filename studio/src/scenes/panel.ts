@@ -128,7 +128,7 @@ function lightControls(store: Studio): HTMLElement[] {
   );
   const flags = (
     [
-      ["isolux", "Lines of equal illuminance on the road"],
+      ["isolux", "Lines of equal illuminance, with their numbers in lx"],
       ["fog", "Light that haze scatters"],
       ["frusta", "Fields of the lamps' modules and of the camera"],
     ] as const
