@@ -1,5 +1,6 @@
 """Figures under the cursor in a real browser: those of the place that is seen there, and those of the library."""
 
+import csv
 from collections.abc import Iterator
 from typing import Any
 
@@ -21,6 +22,18 @@ SAME_PLACE = """const [x, y] = arguments, seen = luxloop.scenes[0].pick(x, y), {
     const found = meter?.readings?.[0]?.point_m;
     return found && Math.hypot(...found.map((each, k) => each - seen[k])) < 0.02 && { found, ...meter.readings[0] }"""
 SHADER = "const [p, n] = arguments; return luxloop.scenes[0].probe(new Float32Array(p), new Float32Array(n))[0]"
+
+NUMBERS = """const { left, top } = document.querySelector('.scene canvas').getBoundingClientRect();
+    return [...document.querySelectorAll('.scene-labels span')]
+      .filter((each) => /^[\\d.]+$/.test(each.innerText) && each.checkVisibility({ visibilityProperty: true }))
+      .map((each) => [each.innerText, each.getBoundingClientRect()])
+      .map(([text, box]) => [text, (box.left + box.right) / 2 - left, (box.top + box.bottom) / 2 - top])"""
+OF_OBJECT = """const [view, name] = [luxloop.scenes[0], arguments[0]], { clientWidth: w, clientHeight: h } = view.canvas, seen = [];
+    for (let x = 2; x < w; x += 4) for (let y = 2; y < h; y += 4) if (view.hit(x, y)?.object === name) seen.push([x, y]);
+    return seen[seen.length >> 1]"""
+IN_WORLD = """const [name, point, normal] = arguments, { elements: e } = luxloop.scenes[0].body(name).T;
+    const turned = (v) => [0, 1, 2].map((k) => e[k] * v[0] + e[4 + k] * v[1] + e[8 + k] * v[2]);
+    return [turned(point).map((each, k) => each + e[12 + k]), turned(normal)]"""
 
 
 @pytest.fixture(scope="module")
@@ -127,6 +140,88 @@ def test_the_wheel_zooms_the_wall_at_the_cursor_and_labels_never_overlap(page):
     page.execute_script("arguments[0].dispatchEvent(new MouseEvent('dblclick'))", one(page, ".scene canvas"))
     assert page.execute_script(place, 5, 5) == pytest.approx(corner, abs=1e-6)
     page.execute_script("luxloop.store.set({ rule: '' })")
+
+
+@pytest.mark.parametrize("viewpoint", ["above", "orbit", "wall"])
+def test_numbers_of_isolux_lines_agree_with_the_figures_there(page, viewpoint):
+    page.execute_script(f"luxloop.store.set({{ viewpoint: '{viewpoint}', isolux: true, rule: '' }}); luxloop.scenes[0].renderNow()")
+    numbers = page.execute_script(NUMBERS)
+    assert len({text for text, *_ in numbers}) >= 3
+    canvas = one(page, ".scene canvas")
+    width, height = canvas.size["width"], canvas.size["height"]
+    for text, x, y in numbers:
+        at = hover(page, ".scene canvas", round(x) - width // 2, round(y) - height // 2)
+        reading = until(page, SAME_PLACE.replace("arguments", str([*at]), 1))
+        # the middle of a number is at most 0.7 px from the cursor, the light changes by 15 % a pixel where lines are numbered at all
+        assert reading["lx"] == pytest.approx(float(text), rel=0.1), (x, y)
+    page.execute_script("luxloop.store.set({ isolux: false }); luxloop.scenes[0].renderNow()")
+    assert page.execute_script(NUMBERS) == []
+
+
+def test_the_profile_covers_neither_the_wall_nor_its_verdicts(page):
+    page.set_window_size(1280, 808)
+    page.execute_script("luxloop.store.set({ viewpoint: 'wall', rule: 'r149-driving-a', aim: 'line' })")
+    until(page, "return document.querySelector('.beam-list').checkVisibility()")
+    hover(page, ".scene canvas", -60, 40)  # beside the test points, whose labels the mouse can touch
+    ActionChains(page).click_and_hold().move_to_element_with_offset(one(page, ".scene canvas"), 60, 40).release().perform()
+    until(page, "return document.querySelector('.profile').checkVisibility()")
+    for maximised in ("null", "'scene'"):
+        covered = page.execute_script(
+            f"luxloop.store.set({{ maximised: {maximised} }});"
+            "const box = document.querySelector('.profile').getBoundingClientRect();"
+            "return [...document.querySelectorAll('.panel')].filter((each) => each.checkVisibility())"
+            ".map((each) => [each.dataset.panel, each.getBoundingClientRect()])"
+            ".filter(([, { left, top, right, bottom }]) => left < box.right && box.left < right && top < box.bottom && box.top < bottom)"
+            ".map(([name]) => name)"
+        )
+        assert covered == []
+    page.execute_script("luxloop.store.set({ aim: null, viewpoint: 'orbit', rule: '', maximised: null })")
+
+
+def test_the_csv_of_the_wall_holds_the_light_at_its_angles(page):
+    page.execute_script(
+        "URL.createObjectURL = (blob) => { blob.text().then((text) => { window.csv = text; }); return '#'; };"
+        "luxloop.store.set({ viewpoint: 'wall', rule: '' }); document.querySelectorAll('.figures .segments button')[2].click()"
+    )
+    names, *lines = csv.reader(until(page, "return window.csv").splitlines())
+    assert {line[names.index("surface")] for line in lines} == {"wall"}
+    number = {name: np.array([float(line[k] or "nan") for line in lines]) for k, name in enumerate(names) if name != "surface"}
+    assert sorted({round(each, 3) for each in number["h_deg"]}) == [*np.arange(-24, 24.5, 0.5)]
+    assert sorted({round(each, 3) for each in number["v_deg"]}) == [*np.arange(-8, 6.5, 0.5)]
+    assert len(lines) == 97 * 29 and number["lx"].max() > 10
+    hover(page, ".scene canvas", 25, -12)
+    reading = until(page, "const { meter } = luxloop.store.state; return meter?.readings?.length === 1 && meter.readings[0]")
+    nearest = np.argsort(np.hypot(number["h_deg"] - reading["h_deg"], number["v_deg"] - reading["v_deg"]))[:4]
+    assert number["lx"][nearest].min() * 0.98 <= reading["lx"] <= number["lx"][nearest].max() * 1.02  # 2 %: curvature within half a degree
+    page.execute_script("luxloop.store.set({ viewpoint: 'orbit' })")
+
+
+@pytest.mark.parametrize(("viewpoint", "surface", "frame"), [("driver", "car_ahead", "car_ahead"), ("wall", "wall", "car")])
+def test_a_probe_kept_on_an_object_or_the_wall_rides_along(page, served, viewpoint, surface, frame):
+    page.execute_script(f"luxloop.store.set({{ viewpoint: '{viewpoint}', aim: 'probe' }}); luxloop.scenes[0].renderNow()")
+    canvas = one(page, ".scene canvas")
+    width, height = canvas.size["width"], canvas.size["height"]
+    # the wall where no road user stands before it
+    x, y = (width // 2 + 10, height // 2 - 22) if surface == "wall" else page.execute_script(OF_OBJECT, surface)
+    hover(page, ".scene canvas", x - width // 2, y - height // 2)
+    ActionChains(page).click().perform()
+    until(page, "return luxloop.store.state.model.probes.probe")
+    reading = page.execute_script("return luxloop.store.state.meter.readings[0]")
+    probe = served.scenario.probes["probe"]
+    assert (reading["surface"], probe.frame) == (surface, frame) and reading["lx"] > 0.1
+    press(page, ".")
+    lx = until(page, "return luxloop.store.state.runs[0].rows.column('probes.probe.lx')?.[1]")
+    if surface == "wall":  # the light of the car's own lamps, which ride along too
+        assert lx == pytest.approx(reading["lx"], rel=1e-3)  # the probe's place is rounded to 0.1 mm, its normal to 1e-4
+    else:
+        point, normal = page.execute_script(IN_WORLD, surface, probe.position_m, probe.facing)
+        assert point[0] - reading["point_m"][0] > 0.3  # m, of 10 m/s
+        assert lx == pytest.approx(page.execute_script(SHADER, point, normal), rel=0.02)  # what the picture differs by from the library
+    page.execute_script("luxloop.store.set({ aim: null })")
+    press(page, Keys.CONTROL, "z")
+    until(page, "return !luxloop.store.state.model.probes?.probe")
+    press(page, "r")
+    until(page, "return document.body.innerText.includes('step 0')")
 
 
 def test_a_click_keeps_a_probe_with_the_light_that_the_cursor_told(page, served):
