@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.loop.simulation.projections import Course
+from luxloop.loop.simulation.projections import VehiclePath
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import LitScene, World
 from luxloop.perception.eye import develop, smooth, veil
@@ -168,8 +168,8 @@ class Onlooker:
         return (surfaces.object_id == 0) & torch.from_numpy((at < right) | (at > left))
 
     @cached_property
-    def _course(self) -> Course:
-        return Course.of(self.world.motion, self.duration_s)
+    def _course(self) -> VehiclePath:
+        return VehiclePath.of(self.world.motion, self.duration_s)
 
     def _glare(self, lit: LitScene, lights: Sequence[Tensor], commands: Commands) -> Tensor:
         """Veil `[H, W]` in cd/m^2 of the lamps that shine into the eye: those of others, and the own ones if the eye rides along."""

@@ -37,7 +37,7 @@ from luxloop.loop.simulation.light_figures import (
     on_objects,
 )
 from luxloop.loop.simulation.probes import illuminance_at, veils_at
-from luxloop.loop.simulation.projections import Course, ProjectionMetrics, projection_metrics
+from luxloop.loop.simulation.projections import ProjectionMetrics, VehiclePath, projection_metrics
 from luxloop.loop.simulation.result import Clock, Lights, StepResult, mean_lights, without
 from luxloop.loop.simulation.road_metrics import over_setpoint
 from luxloop.loop.simulation.world import ObjectLight, World, categories
@@ -228,9 +228,9 @@ class Evaluator:
         return {name: sum(share * values[name] for share, values in zip(self.scenario.shares, each, strict=True)) for name in each[0]}
 
     @cached_property
-    def _course(self) -> Course:
+    def _path(self) -> VehiclePath:
         assert self.world is not None
-        return Course.of(self.world.motion, self.scenario.steps / self.scenario.rate_hz)
+        return VehiclePath.of(self.world.motion, self.scenario.steps / self.scenario.rate_hz)
 
     def _projections(self, result: StepResult) -> Mapping[str, ProjectionMetrics]:
         """Shown symbols on the road, by name."""
@@ -240,7 +240,7 @@ class Evaluator:
         for name, symbol in self.scenario.projections.items():
             if planning.drawn.get(name) or name in planning.projections:
                 off = result.exposures[-1].lights if planning.measured == (name,) else self._lights_without(result, name)
-                found[name] = projection_metrics(self.world, self._course, symbol, now.time_s, lights, off, now.commands)
+                found[name] = projection_metrics(self.world, self._path, symbol, now.time_s, lights, off, now.commands)
         return found
 
     def _lights_without(self, result: StepResult, name: str) -> tuple[Utilisation, ...]:

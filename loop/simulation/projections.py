@@ -50,7 +50,7 @@ class ProjectionMetrics:
     stroke_arcmin: float = math.nan
 
 
-class Course(NamedTuple):
+class VehiclePath(NamedTuple):
     """The vehicle's path in the world by ascending x: x and y in m, heading in rad, all `[n]`."""
 
     x_m: np.ndarray
@@ -58,7 +58,7 @@ class Course(NamedTuple):
     heading: np.ndarray
 
     @classmethod
-    def of(cls, motion: Motion, duration_s: float) -> "Course":
+    def of(cls, motion: Motion, duration_s: float) -> "VehiclePath":
         """The course of a drive, straight on after its end."""
         poses = [motion.at(t).T_world_ground for t in np.arange(0, duration_s + COURSE_S, COURSE_S)]
         ahead = torch.tensor([[AHEAD_M, 0.0, 0.0]], dtype=torch.float64).T
@@ -75,7 +75,7 @@ class Course(NamedTuple):
 
 def projection_metrics(
     world: World,
-    course: Course,
+    path: VehiclePath,
     symbol: SymbolFunctionParams,
     time_s: float,
     lights: Sequence[Tensor],
@@ -100,7 +100,7 @@ def projection_metrics(
     x_m = transform(inverse(world.motion.at(time_s).T_world_ground), places)[0]
     cd, h_deg, v_deg = _from_lamps(seen, lights, commands, places[:, :: math.ceil(places.shape[1] / PLACES)])
     return ProjectionMetrics(
-        aside_m=float(np.abs(course.aside_m(places[0].numpy(), places[1].numpy())).max()),
+        aside_m=float(np.abs(path.aside_m(places[0].numpy(), places[1].numpy())).max()),
         near_m=float(x_m.min()),
         far_m=float(x_m.max()),
         cd_max=cd,
