@@ -32,7 +32,7 @@ from luxloop.world.params import NotNegative, Params
 from luxloop.world.scene.vehicle import LEARNT_M
 
 LEAST_LIT_PX = 20.0  # least lit pixels of a symbol
-COLUMNS, LINES = 5, 3  # for each node: columns of the registered image, and lines of sight along, at most as many a camera row
+COLUMNS, LINES = 2, 3  # camera columns a column of the registered image, against noise; lines of sight a camera row
 HEIGHTS = 57  # number of heights of a plane sweep
 LEAST_LIGHT = 0.05  # of the mean expected light: weight of the previous brightness of a node
 LOW_M = {"appearance": 0.1, "place": 0.03}  # heights up to here are registered without relocalisation, by kind of target
@@ -99,17 +99,12 @@ class HeightController:
         self.params, self.projector, self.sensor = params, sensor.projector, sensor
         self.region = region_of(self.projector.params, *params.beyond_m)
         self.reach_m = self.projector.params.x_m - self.projector.params.length_m / 4
-        view, (length_m, width_m) = camera_view(sensor.camera), params.cell_m
-        height_m, away_m = float(view.origin[2]), self.projector.params.x_m - float(view.origin[0])
-        self.columns = max(2, round(view.fx * width_m / away_m / COLUMNS))  # camera columns a column of the image, two against noise
-        rows = view.fy * height_m * length_m / away_m**2  # camera rows a node at the target
-        self.samples = min(LINES, max(1, round(LINES / rows)))
         self.standing = keeping(2, self._standing)
         self.cached_draw = keeping(1, self._draw)
         self.registration = self.over(HERE)[1]
         self.nothing = self._nothing(self.registration)  # the empty road map of a standing vehicle
         lamps = torch.stack([module.T_body_headlight[:3, 3].cpu().double() for module in self.projector.modules])
-        self.ends = torch.stack([view.origin, *lamps], 1)  # in the body frame
+        self.ends = torch.stack([camera_view(sensor.camera).origin, *lamps], 1)  # in the body frame
         self.in_flight = sensor.camera.latency_steps + sensor.camera.latency_spread_steps + 2
         self.tried = torch.linspace(-params.highest_m, params.highest_m, HEIGHTS, device=self.projector.symbol.device)
 
@@ -333,10 +328,10 @@ class HeightController:
         return self._coarse(body_poses), self._fine(body_poses)
 
     def _fine(self, body_poses: BodyPoses) -> Registration:
-        return Registration.prepare(self._forward_model(body_poses, self.columns, self.samples))
+        return Registration.prepare(self._forward_model(body_poses, COLUMNS, LINES))
 
     def _coarse(self, body_poses: BodyPoses) -> ForwardModel:
-        return self._forward_model(body_poses, 2 * self.columns, 1)
+        return self._forward_model(body_poses, 2 * COLUMNS, 1)
 
     def _forward_model(self, body_poses: BodyPoses, step: int, samples: int) -> ForwardModel:
         """Forward model for the body's poses at the two frames."""
