@@ -15,6 +15,7 @@ from luxloop.controllers.pixels.primitives import U_ABS, Primitives, names_modul
 from luxloop.world.frames import inverse, transform
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import ModuleCommand
+from luxloop.world.light.illumination import lux_per_cd
 from luxloop.world.rendering.raycast import sees
 from luxloop.world.scene.scene import StreetLamp
 from luxloop.world.scene.triangles import Triangles
@@ -71,8 +72,7 @@ class PotentialLight:
         at = (seen[1:] / torch.where(x > 0, x, 1.0)).movedim(0, -1)
         inside = (at.abs().amax(-1) <= 1) & (x > 0)
         intensity = grid_sample(full[None, None], at.reshape(1, 1, -1, 2), padding_mode="border", align_corners=False).view_as(x)
-        d2 = (points - self.T_world_headlight[:3, 3:].to(points)).square().sum(-2)
-        return self.intensity * intensity * inside / d2
+        return self.intensity * intensity * inside * lux_per_cd(self.T_world_headlight[:3, 3:].to(points) - points)
 
     @cached_property
     def _projection(self) -> Tensor:
@@ -119,9 +119,7 @@ def street_light(
     total = torch.zeros_like(points[..., 0, :])
     for lamp in lamps:
         position = points.new_tensor(lamp.position_m)
-        away = position[:, None] - points
-        d2 = away.square().sum(-2)
-        light = lamp.intensity_cd * (normals * away).sum(-2).clamp(min=0) / d2**1.5
+        light = lamp.intensity_cd * lux_per_cd(position[:, None] - points, normals)
         total = total + (light if occluded is None else light * visible_from(points, position, occluded, asked))
     return total
 
@@ -131,11 +129,8 @@ def subtract_street_light(setpoint_cd: Tensor, street_lx: Tensor, points: Tensor
 
     position: `[3]` m, of the lamp that gets the setpoints; normals: unit, broadcastable to `[..., 3, N]`.
     """
-    away = position.to(points)[:, None] - points
-    d2 = away.square().sum(-2)
-    cos = (normals * away).sum(-2) / d2.sqrt()
-    offset = street_lx * d2 / torch.where(cos > 0, cos, 1.0)
-    return torch.where(cos > 0, (setpoint_cd - offset).clamp(min=0), setpoint_cd)
+    per_cd = lux_per_cd(position.to(points)[:, None] - points, normals)
+    return torch.where(per_cd > 0, (setpoint_cd - street_lx / torch.where(per_cd > 0, per_cd, 1.0)).clamp(min=0), setpoint_cd)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from luxloop.loop.simulation.build_lamps import T_world_lamp
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import whole
 from luxloop.world.headlight.lamp import Lamp, direction
+from luxloop.world.light.illumination import lux_per_cd
 
 SCREEN_M = 25.0  # distance of the aiming screen
 LINE_POINTS = 51
@@ -94,13 +95,13 @@ def on_road(lamps: Mapping[str, Lamp], beam: str, places: Tensor) -> Values:
 
 
 def _illuminances(mounted: Iterable[tuple[Lamp, Tensor]], beam: str, places: Tensor, *normals: Tensor) -> list[Tensor]:
-    """Illuminance `[N]` in lx, for each normal `[3, 1]`, of places `[3, N]` m: `E = I cos / d^2` (T eq. 2.1.5) of each module."""
+    """Illuminance `[N]` in lx, for each normal `[3, 1]`, of places `[3, N]` m; NaN in the middle of a module."""
     total = [torch.zeros(places.shape[1], dtype=torch.float64) for _ in normals]
     for lamp, T in mounted:
         for centre, intensity in _emitters(lamp, beam):
             away = T[:3, :3] @ centre + T[:3, 3:] - places
-            per_m3 = intensity(T[:3, :3].T @ -away) / away.norm(dim=0).clamp(min=1e-6) ** 3
-            total = [lx + per_m3 * (normal * away).sum(0).clamp(min=0) for lx, normal in zip(total, normals, strict=True)]
+            cd = intensity(T[:3, :3].T @ -away)
+            total = [lx + cd * lux_per_cd(away, normal) for lx, normal in zip(total, normals, strict=True)]
     return total
 
 

@@ -21,6 +21,7 @@ from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import REST, Commands
 from luxloop.world.headlight.matrix import LUMINANCE
 from luxloop.world.light.emitters import spot_intensity
+from luxloop.world.light.illumination import lux_per_cd
 from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.rendering.raycast import sees
 from luxloop.world.scene.scene import Ground
@@ -186,10 +187,9 @@ class Onlooker:
         if not cd:
             return torch.zeros(self.view.height, self.view.width)
         places = torch.stack([place for place, _ in to_eye], 1)
-        away = transform(inverse(lit.eye.T_world_view), places)  # in the view, [3, n]
-        seen = sees(self._others(lit), lit.eye.origin, places, LAMP_M) & (away[2] > 0)
-        lx = torch.tensor(cd)[seen] * away[2, seen].float() / away[:, seen].norm(dim=0).float() ** 3  # E = I cos / d^2
-        return veil(lit.eye, places[:, seen], lx, self.age_years)
+        lx = torch.tensor(cd) * lux_per_cd(places - lit.eye.origin[:, None], lit.eye.T_world_view[:3, 2:3]).float()
+        seen = sees(self._others(lit), lit.eye.origin, places, LAMP_M) & (lx > 0)
+        return veil(lit.eye, places[:, seen], lx[seen], self.age_years)
 
 
 def first_oncoming(simulation: Simulation) -> str:

@@ -13,6 +13,7 @@ from luxloop.loop.simulation.world import LitScene, World
 from luxloop.perception.eye import veil_per_lux
 from luxloop.world.frames import transform, unit
 from luxloop.world.headlight.lamp import REST, Commands
+from luxloop.world.light.illumination import lux_per_cd
 from luxloop.world.rendering.raycast import TOLERANCE_M, sees
 
 INSIDE_M: Final = 1.5  # in front of an object's probe, which may lie in the object, such as a driver's eye
@@ -21,7 +22,7 @@ INSIDE_M: Final = 1.5  # in front of an object's probe, which may lie in the obj
 def illuminance_at(
     probes: Mapping[str, ProbeParams], world: World, time_s: float, lights: Sequence[Utilisation], commands: Commands = ()
 ) -> dict[str, float]:
-    """Illuminance in lx from the lamps on each probe, `E = I cos / d^2` (T eq. 2.1.5); NaN while its object does not exist."""
+    """Illuminance in lx from the lamps on each probe; NaN while its object does not exist."""
     lit = world.lit(time_s)
     arriving = {name: _arriving(probe, world, lit, lights, commands) for name, probe in probes.items()}
     return {name: math.nan if light is None else sum(lx for lx, _ in light) for name, light in arriving.items()}
@@ -49,20 +50,20 @@ def _arriving(
     if T_world_frame is None:
         return None
     place = transform(T_world_frame, torch.tensor(probe.position_m, dtype=torch.float64)[:, None])
-    normal = None if probe.facing is None else unit(T_world_frame[:3, :3] @ torch.tensor(probe.facing, dtype=torch.float64))
+    normal = None if probe.facing is None else unit(T_world_frame[:3, :3] @ torch.tensor(probe.facing, dtype=torch.float64)[:, None])
     found = list[tuple[float, float]]()
     for module, light, command in zip(lit.modules, lights, commands or (REST,) * len(lit.modules), strict=True):
         if not bool(light.u.any()):
             continue
         T_world_headlight = lit.vehicle.T_world_body @ command.turn(module.T_body_headlight).double().cpu()
         away = T_world_headlight[:3, 3:] - place
-        distance = away.norm()
-        cos = 1.0 if normal is None else max(float(normal @ away[:, 0] / distance), 0.0)
+        per_cd = float(lux_per_cd(away, normal))
         near = TOLERANCE_M if probe.frame in ("world", "car") else INSIDE_M
-        if cos and bool(sees(lit.triangles, T_world_headlight[:3, 3], place, near)):
+        if per_cd and bool(sees(lit.triangles, T_world_headlight[:3, 3], place, near)):
             texture = module.textures.light_texture(light.u).cpu()
             ray = T_world_headlight[:3, :3].T @ -away
-            found.append((command.intensity * float(module.headlight.intensity(texture, ray)) * cos / float(distance) ** 2, cos))
+            lx = command.intensity * float(module.headlight.intensity(texture, ray)) * per_cd
+            found.append((lx, per_cd / float(lux_per_cd(away))))
     return found
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from luxloop.world.frames import unit
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, direction
-from luxloop.world.light.illumination import illuminance, lit_surface, luminance
+from luxloop.world.light.illumination import illuminance, lit_surface, luminance, lux_per_cd
 from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.scene.body import Spotlight
 from luxloop.world.scene.scene import StreetLamp
@@ -31,10 +31,10 @@ def ambient_luminance(
     illuminance = ambient_lx * (1 + normal[2]) / 2
     for lamp in street_lamps:
         away = torch.tensor(lamp.position_m).to(position)[:, None] - position
-        illuminance = illuminance + lamp.intensity_cd * _cos_per_d2(normal, away)
+        illuminance = illuminance + lamp.intensity_cd * lux_per_cd(away, normal)
     for spot in spotlights:
         away = spot.position.to(position)[:, None] - position
-        factor = _cos_per_d2(normal, away)
+        factor = lux_per_cd(away, normal)
         lit = torch.nonzero(factor)[:, 0]  # what faces the lamp
         illuminance.index_add_(0, lit, spot_intensity(spot, away.index_select(1, lit).neg_()) * factor[lit])
     reflected = albedo[there] * illuminance / math.pi
@@ -43,12 +43,6 @@ def ambient_luminance(
         return luminance
     own = torch.tensor([each.luminance_cd_m2 for each in gbuffer.finish.materials]).to(luminance)
     return luminance + own[gbuffer.finish.material]
-
-
-def _cos_per_d2(normal: Tensor, away: Tensor) -> Tensor:
-    """`cos / d^2` in 1/m^2 `[M]` of light from `away` `[3, M]` m (T eq. 2.1.5)."""
-    d2 = (away * away).sum(0)
-    return (normal * away).sum(0).clamp(min=0) / (d2 * d2.sqrt())
 
 
 def spot_intensity(spot: Spotlight, ray: Tensor) -> Tensor:
@@ -91,7 +85,7 @@ def wall_illuminance(lit: Sequence[Source], T_world_wall: Tensor, h_deg: Tensor,
     """Illuminance `[..., *shape]` in lx of a wall that stands perpendicular to the x axis of `T_world_wall`, `distance_m` from its origin.
 
     h_deg, v_deg: of one shape, angles of the wall's points seen from that origin, to the right and up (type A). The modules light it from
-    where they are, so lamps beside the origin show their parallax. `E = I cos / d^2` (T eq. 2.1.5), float64 on the CPU.
+    where they are, so lamps beside the origin show their parallax. Float64 on the CPU.
     """
     ray = direction(h_deg, v_deg).flatten(1)
     points = T_world_wall[:3, :3].double() @ (ray / ray[0] * distance_m) + T_world_wall[:3, 3:].double()
@@ -99,10 +93,8 @@ def wall_illuminance(lit: Sequence[Source], T_world_wall: Tensor, h_deg: Tensor,
     total = torch.zeros(points.shape[1], dtype=torch.float64)
     for source in lit:
         away = source.T_world_source[:3, 3:] - points
-        d2 = (away * away).sum(0)
-        local = source.T_world_source[:3, :3].T @ -away
-        intensity = source.headlight.intensity(source.texture.double().cpu(), local)
-        total = total + intensity * ((facing * away).sum(0) / d2.sqrt()).clamp(min=0) / d2
+        intensity = source.headlight.intensity(source.texture.double().cpu(), source.T_world_source[:3, :3].T @ -away)
+        total += intensity * lux_per_cd(away, facing)
     return total.unflatten(-1, h_deg.shape)
 
 

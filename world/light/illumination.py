@@ -24,6 +24,15 @@ from luxloop.world.texels import bilinear
 KEPT_TEXTURES: Final = 2  # of an on and an off exposure
 
 
+def lux_per_cd(away: Tensor, normal: Tensor | None = None) -> Tensor:
+    """Illuminance in lx of points `[..., N]` by a lamp of 1 cd, `E_v / I_v = cos / d^2` (T eq. 2.1.5), 0 behind the surface.
+
+    away: `[..., 3, N]` m, from the points to the lamp. normal: unit, broadcastable to it; None for surfaces that face the lamp.
+    """
+    d2 = (away * away).sum(-2)
+    return 1 / d2 if normal is None else ((normal * away).sum(-2) / d2.sqrt()).clamp(min=0) / d2
+
+
 @dataclass(frozen=True)
 class LitSurface:
     """The part of a G-buffer that the light of a lamp reaches, M pixels in image order.
@@ -61,14 +70,13 @@ def lit_surface(
         inside &= (place >= max(start - 1, 0)) & (place <= min(stop + 1, n))  # a texel's light ends at its neighbours' centres
     index = torch.nonzero(inside)[:, 0]
     away = T_world_headlight[:3, 3:].to(position) - position.index_select(1, index)  # [3, M]
-    d2 = (away * away).sum(0)
-    cos = (normal.index_select(1, index) * away).sum(0) / d2.sqrt()  # cos / d^2 of T eq. 2.1.5
-    lit = torch.nonzero(cos > 0)[:, 0]
+    factor = lux_per_cd(away, normal.index_select(1, index))
+    lit = torch.nonzero(factor > 0)[:, 0]
     if triangles is not None:
         lit = lit[sees(triangles, T_world_headlight[:3, 3], position[:, index[lit]])]
     index = index[lit]
     texel, weight = bilinear(headlight, row[index], col[index])
-    return LitSurface(index, texel, weight, cos[lit] / d2[lit], _luminance_factor(gbuffer, index, away.index_select(1, lit)))
+    return LitSurface(index, texel, weight, factor[lit], _luminance_factor(gbuffer, index, away.index_select(1, lit)))
 
 
 def _luminance_factor(gbuffer: GBuffer, index: Tensor, away: Tensor) -> Tensor:

@@ -16,6 +16,7 @@ from luxloop.perception.camera import CameraParams, average_rows, camera_view, l
 from luxloop.perception.extraction import Extraction, difference, symbol_image, threshold
 from luxloop.world.frames import View, inverse
 from luxloop.world.headlight import Headlight
+from luxloop.world.light.illumination import lux_per_cd
 from luxloop.world.spmv import Csr, multiply
 from luxloop.world.texels import Window, neighbours, resample
 
@@ -105,8 +106,8 @@ class ForwardModel:
             on_plane = torch.einsum("ij,jhw->ihw", P[:, :3], ground) + P[:, 3, None, None]
             # Derivative by z of the line of sight g + (e - g) z / e_z, [3, H, w].
             per_m = ((P[:, :3] @ eye + P[:, 3])[:, None, None] - on_plane) / eye[2]
-            # albedo cos / (pi d^2) with cos = o_z / d (T eq. 2.1.5), [H, w].
-            factor = sensor.model.albedo * origin[2] / math.pi * (ground - origin[:, None, None]).square().sum(0) ** -1.5
+            per_cd = lux_per_cd(origin[:, None] - ground.flatten(1), torch.eye(3).double()[:, 2:])  # [H * w]
+            factor = sensor.model.albedo / math.pi * per_cd.view(ground.shape[1:])
             parts = (part.float().to(device) for part in (on_plane, per_m, factor))
             lamps.append(LampSight(light, *parts))
         middle = average_rows(ground, samples)  # [3, h, w] m

@@ -15,7 +15,16 @@ from torch.testing import assert_close
 from luxloop.world.frames import inverse, pose_from_degrees, transform
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.presets import idealised
-from luxloop.world.light.illumination import DirectTransport, Shadows, added_light, illuminance, lit_surface, luminance, transport
+from luxloop.world.light.illumination import (
+    DirectTransport,
+    Shadows,
+    added_light,
+    illuminance,
+    lit_surface,
+    luminance,
+    lux_per_cd,
+    transport,
+)
 from luxloop.world.rendering.gbuffer import GBuffer, flat_road
 from luxloop.world.scene.body import Body
 from luxloop.world.scene.scene import Scene
@@ -32,6 +41,14 @@ class Light(NamedTuple):
 
 LAMP = idealised(20, 32, intensity_cd=CD)
 T_LEFT = pose_from_degrees((0.0, 0.6, 0.75))
+
+
+def test_lux_per_candela_falls_with_distance_squared_and_the_cosine_of_incidence():
+    lamps = torch.tensor([[0.0, 0.0, 2.0], [0.0, 3.0, 4.0], [3.0, 0.0, 0.0], [0.0, 0.0, -1.0]]).double()  # from the point, [n, 3]
+    up = torch.tensor([[0.0], [0.0], [1.0]]).double()
+    assert_close(lux_per_cd(lamps.T, up), torch.tensor([1 / 4, 0.8 / 25, 0.0, 0.0]).double())  # above, 3-4-5, grazing, below
+    assert_close(lux_per_cd(lamps.T), torch.tensor([1 / 4, 1 / 25, 1 / 9, 1.0]).double())
+    assert lux_per_cd(lamps.T.expand(5, 3, 4), up).shape == (5, 4)
 
 
 def surface_at(points: Tensor, normal: tuple[float, float, float], albedo: float = 0.3) -> GBuffer:
