@@ -114,7 +114,9 @@ class PaintedParams(Params):
         description="a picture of the module's pixels as the base64 text of an 8-bit PNG with transparency: white is full utilisation, "
         "opaque pixels are painted",
     )
-    over: bool = Field(True, description="paint over the light of the functions; false: replace that light, dark where nothing is painted")
+    over: bool = Field(
+        True, description="paint over the light of the functions, below masks; false: replace that light, dark where nothing is painted"
+    )
 
     @field_validator("png")
     @classmethod
@@ -151,10 +153,13 @@ class PaintLayer:
         value, cover = (torch.from_numpy(each).flatten().float() / 255 for each in params.pictures)
         return cls(value, cover, params.over)
 
-    def on(self, light: Utilisation) -> Utilisation:
-        """The light of a module with the layer: `cover * value + (1 - cover) * u`, `[..., n_p]`, or `cover * value` if over is False."""
-        given, cover = (self.cover * self.value).to(light.u), self.cover.to(light.u)
-        band = span(given != 0)
+    def on(self, light: Utilisation, limit: Tensor | float = 1.0) -> Utilisation:
+        """The light of a module with the layer: `cover * value + (1 - cover) * u`, `[..., n_p]`, or `cover * value` if over is False.
+
+        limit: `[..., n_p]`, largest value that masks leave.
+        """
+        cover = self.cover.to(light.u)
+        given, band = cover * self.value.to(cover).clamp(max=limit), span(self.cover * self.value != 0)
         if not self.over:
             return Utilisation(given.expand_as(light.u), band)
         return Utilisation(given + (1 - cover) * light.u, None if light.band is None else hull(band, light.band))

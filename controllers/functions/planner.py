@@ -8,6 +8,7 @@ from typing import Annotated, Any, Final, cast
 
 import torch
 from pydantic import AfterValidator, Field, TypeAdapter
+from torch import Tensor
 
 from luxloop.controllers.functions.base_beams import BaseBeam, BaseBeamParams, PaintedParams, PaintLayer, RawParams, paint_layers
 from luxloop.controllers.functions.commands import (
@@ -158,9 +159,9 @@ class Planner:
         """The painted layers, by module."""
         return paint_layers(self.lighting.painted)
 
-    def paint(self, module: str, light: Utilisation) -> Utilisation:
-        """The light of a module under its painted layer."""
-        return self.painted[module].on(light) if module in self.painted else light
+    def paint(self, module: str, light: Utilisation, limit: Tensor | float = 1.0) -> Utilisation:
+        """The light of a module under its painted layer. limit: as of `PaintLayer.on`."""
+        return self.painted[module].on(light, limit) if module in self.painted else light
 
     @cached_property
     def commanding(self) -> Mapping[str, CommandingFunction]:

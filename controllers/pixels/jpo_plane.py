@@ -98,7 +98,9 @@ class PlaneLight:
 
 
 def fit_plane(lamps: Sequence[PlaneModule], raster: Raster, wanted_lx: Tensor, where: Tensor, iterations: int = ITERATIONS) -> PlaneLight:
-    """Utilisations with the least squared error of the whole field, in 255 steps, within the limits of the pixels.
+    """Utilisations with the least squared error of the whole field below the limits, in 255 steps.
+
+    Pixels at their limits are then fitted without them, for times with other limits; the resulting light is that below the limits.
 
     wanted_lx: target `[cells]` in lx. where: `[cells]` bool, cells with a target; the rest of the field keeps its light. Pixels that light
     no cell with a target keep their utilisation. Raises LuxloopError if no pixel lights these cells.
@@ -120,16 +122,18 @@ def fit_plane(lamps: Sequence[PlaneModule], raster: Raster, wanted_lx: Tensor, w
         raise LuxloopError("wish: no pixel lights the place where light is wanted; paint it within the field of a lamp")
     joint = sp.vstack([sp.hstack(planes), sp.block_diag(beside)], "csr")
     now, limit = (torch.cat([getattr(each, name).float().cpu() for each in lamps]) for name in ("u", "limit"))
-    before = multiply(Csr.from_scipy(joint), now)
-    target = before.clone()
+    A, weight, limit = Csr.from_scipy(joint), torch.cat(weights).float(), (255 * limit).floor() / 255
+    target = multiply(A, now)
     target[: len(where)] = torch.where(where, wanted_lx, target[: len(where)]).float()
-    part = Csr.from_scipy(joint[:, free.numpy()].tocsr())
-    fixed, weight = before - multiply(part, now[free]), torch.cat(weights).float()
-    u, most = now.clone(), (255 * limit[free]).floor() / 255
-    u[free] = solve(part, target - fixed, weight=weight.sqrt(), upper=most, start=now[free].minimum(most), iterations=iterations)
-    u[free] = ((255 * u[free]).round() / 255).minimum(most)
-    field = multiply(part, u[free]) + fixed
-    lit = multiply(part, torch.ones_like(most)) > 0
+
+    def fit(u: Tensor, pixels: Tensor, upper: Tensor) -> Tensor:
+        part, rest = Csr.from_scipy(joint[:, pixels.numpy()].tocsr()), target - multiply(A, torch.where(pixels, 0.0, u))
+        found = solve(part, rest, weight=weight.sqrt(), upper=upper[pixels], start=u.minimum(upper)[pixels], iterations=iterations)
+        return u.masked_scatter(pixels, (255 * found).round() / 255)
+
+    shown = fit(now, free, limit)
+    u = fit(shown, free & (shown >= limit), torch.ones_like(limit)).maximum(shown)
+    field, lit = multiply(A, shown), multiply(A, free.float()) > 0
     return PlaneLight(
         u.split([each.headlight.n_pixels for each in lamps]), tuple(chosen), field[: len(where)], field - target, weight * lit
     )

@@ -15,7 +15,7 @@ from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.secondary import SecondaryRays, scene_caster
 from luxloop.controllers.pixels.ssc import PixelController, Utilisation
 from luxloop.controllers.pixels.windows import projected_windows
-from luxloop.controllers.situation import Situation
+from luxloop.controllers.situation import LAYERS, MASK, Situation
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.loop.simulation.world import World
@@ -114,7 +114,13 @@ class ShiningModule(MountedModule):
             light = Utilisation(base, slice(0, 0) if self.raw is None and plan.base.name == "off" else None)
         else:
             light = self.controller.over(base).utilisation(primitives.to(base.device), self.T_world_module, secondary)
-        return light if layer is None else layer.on(light)
+        return light if layer is None else layer.on(light, self.mask_limit(plan) if layer.over else 1.0)
+
+    def mask_limit(self, plan: Plan) -> Tensor:
+        """Largest utilisation `[n_p]` that masks and their soft zones leave."""
+        full, drawn = torch.ones_like(self.flux), plan.for_module(self.name)
+        masks = None if drawn is None else drawn.select(drawn.priority >= MASK * LAYERS)
+        return self.controller.over(full).utilisation(masks.to(full.device), self.T_world_module).u if masks else full
 
 
 @dataclass(frozen=True)

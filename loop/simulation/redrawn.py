@@ -3,12 +3,10 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import torch
 from torch import Tensor
 
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.controllers.situation import LAYERS, MASK
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
@@ -36,12 +34,7 @@ def lights_without_paint(simulation: Simulation, result: StepResult) -> tuple[Ut
 def mask_limits(simulation: Simulation, result: StepResult) -> tuple[Tensor, ...]:
     """Largest utilisation `[n_p]` of each module that masks and their soft zones leave in a step."""
     plan = simulation.planner.compose(result.now, result.planning.functions, _primitives(simulation, result, {}))
-    limits = []
-    for module in simulation.lamps.aim(result.now):
-        full, drawn = torch.ones_like(module.flux), plan.for_module(module.name)
-        masks = None if drawn is None else drawn.select(drawn.priority >= MASK * LAYERS)
-        limits.append(module.controller.over(full).utilisation(masks.to(full.device), module.T_world_module).u if masks else full)
-    return tuple(limits)
+    return tuple(module.mask_limit(plan) for module in simulation.lamps.aim(result.now))
 
 
 def covering(simulation: Simulation, result: StepResult, name: str) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import torch
+from torch import Tensor
 
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.recording.checks import Checks
@@ -27,7 +28,7 @@ from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.loop.simulation.protocol import close_plant
-from luxloop.loop.simulation.redrawn import lights_without_paint
+from luxloop.loop.simulation.redrawn import lights_without_paint, mask_limits
 from luxloop.loop.simulation.result import SimulationState
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.truth import LampModule
@@ -84,7 +85,7 @@ class Run:
         self._pictures = set[str]()  # names of those that any snapshot has had
         self.bodies = NOTHING  # of the newest snapshot
         self._sources: tuple[Snapshot, Mapping[int, emitters.Source]] | None = None
-        self._below: Sequence[Utilisation] | None = None  # light of the last step without paint
+        self._below: Sequence[tuple[Utilisation, Tensor]] = ()  # light of the last step without paint, and limits of paint
         self._ahead = False  # whether edits follow the last step
         self._next: tuple[Simulation, Evaluation] | None = None  # preview of the next step
         self._made = simulation, self.step(wanted)  # last result and its simulation
@@ -103,7 +104,7 @@ class Run:
 
     def step(self, wanted: Collection[View]) -> Evaluation:
         """Do a step. wanted: contents that clients show."""
-        if self._below is not None or self._next is not None:
+        if self._below or self._next is not None:
             self.snapshots[-1] = self._take_snapshot(*self._made, self.snapshots[-1], wanted)
         while self.playback is not None and (due := self.playback.due(len(self.snapshots))) is not None:
             self._go_on(self.prepare_edit(repeat(self.simulation.scenario, due)), due.overrides, due.driven)
@@ -118,7 +119,7 @@ class Run:
         self.highlights.add(result)
         self._state, self._made = state, (self.simulation, result)
         self._reached = state, self.simulation.scenario
-        self._below, self._next, self._ahead = None, None, False
+        self._below, self._next, self._ahead = (), None, False
         if len(self.rows) == len(self.snapshots):  # not from a recording
             self.rows.append(np.array([_number(values.get(each.name)) for each in self.columns], np.float32))
         self.snapshots.append(taken)
@@ -183,8 +184,8 @@ class Run:
         (simulation, result), lighting = self._made, self.simulation.scenario.lighting
         if lighting.painted == simulation.scenario.lighting.painted:
             return result
-        self._below = self._below or lights_without_paint(simulation, result)
-        lights = (self.simulation.planner.paint(each.name, below).u for each, below in zip(simulation.modules, self._below, strict=True))
+        self._below = self._below or tuple(zip(lights_without_paint(simulation, result), mask_limits(simulation, result), strict=True))
+        lights = (self.simulation.planner.paint(each.name, *below).u for each, below in zip(simulation.modules, self._below, strict=True))
         return replace(result, lights=tuple(lights))
 
     def _take_snapshot(self, simulation: Simulation, result: Evaluation, before: Snapshot | None, wanted: Collection[View]) -> Snapshot:

@@ -47,12 +47,14 @@ def test_pictures_come_back_bit_for_bit():
 
 
 @pytest.mark.parametrize("over", [True, False])
-def test_what_is_painted_holds_and_the_rest_is_what_functions_give(over):
+def test_what_is_painted_holds_below_masks_and_the_rest_is_what_functions_give(over):
     plain, guarded = shown().lights, shown(**GUARDED).lights
     left, right = shown(PaintedParams.of("left matrix", VALUE, HALF, over), **GUARDED).lights
     assert not guarded[0].equal(plain[0]) and right.equal(guarded[1])
     painted = given(HALF) > 0
-    torch.testing.assert_close(left[painted], given(VALUE)[painted], rtol=0, atol=1e-7)  # single precision
+    limit = guarded[0] if over else torch.ones(ROWS * COLUMNS)  # below the mask, the base beam is full
+    assert (guarded[0] == 0)[painted].any()
+    torch.testing.assert_close(left[painted], given(VALUE).minimum(limit)[painted], rtol=0, atol=1e-7)  # single precision
     assert left[~painted].equal(guarded[0][~painted] if over else torch.zeros(int((~painted).sum())))
 
 

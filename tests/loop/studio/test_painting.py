@@ -11,6 +11,7 @@ import torch
 from luxloop import load, prepare
 from luxloop.loop.studio.sources import Source
 from luxloop.world.frames import inverse, transform
+from luxloop.world.light.emitters import wall_illuminance
 from tests.loop.studio.clients import Arrays, Watcher, watching
 from tests.loop.studio.conftest import Served, serving
 
@@ -228,3 +229,27 @@ def test_masks_win_over_light_that_is_wanted_and_the_field_beside_it_stays(maske
     assert all(lx > least for lx, least in zip(given, spots.values(), strict=True))
     assert head["given_lx"] == pytest.approx(np.mean(given), abs=0.1)  # the camera has more pixels of the near end
     assert head["worst_lx"] > 0.5 and 0 < head["rmse_lx"] < 0.2  # of the whole field: the masked road remains dark
+
+
+def test_masks_win_in_every_step_as_road_users_move(masked):
+    """5 lx wanted over a wall that covers all road users: in step 19 the cyclist is gone, and the others are elsewhere."""
+    everywhere = {"lx": np.full((70, 240), 5, np.float32), "painted": np.ones((70, 240), np.uint8)}
+    h, v = torch.tensor([[6.5], [2.3]], dtype=torch.float64)  # towards the cyclist in step 0
+
+    def towards_cyclist() -> float:
+        shown = masked.run.snapshots[-1]
+        T_world_body = torch.tensor(shown.head["T_world_body"], dtype=torch.float64).view(4, 4)
+        return float(wall_illuminance([*masked.run.sources(shown).values()], T_world_body, h, v))
+
+    with watching(masked.port, masked.tokens.edit) as editor:
+        editor.say("pen")
+        editor.of("scenario")
+        editor.reset()
+        editor.of("step", step=0)
+        editor.say("wish", everywhere, on="wall", box_m=[-3.5, 3.5, -12, 12])
+        editor.of("wish")
+        first = towards_cyclist()
+        for step in range(1, 20):
+            editor.step(step)
+            assert masked.run.shown[1].dark_lx_max <= 0.01, step  # as the scenario demands without paint
+        assert first < 0.5 and abs(towards_cyclist() - 5) < 2  # the spread of its pixels
