@@ -109,7 +109,7 @@ LOOKED_AT = {
         "1",
         "confidence of that track, filtered over frames, 0 without one; empty while the camera does not see the object",
     ),
-    "score": ("1", "score of the detection in this frame alone"),
+    "score": ("1", "score of the detection in this frame alone, 0 without one; empty in a step without detection"),
 }
 
 

@@ -173,31 +173,33 @@ class Onlooker:
         return VehiclePath.of(self.world.motion, self.duration_s)
 
     def _glare(self, lit: LitScene, lights: Sequence[Tensor], commands: Commands) -> Tensor:
-        """Veil `[H, W]` in cd/m^2 of the lamps that shine into the eye: those of others, and the own ones if the eye rides along."""
-        spots = lit.scene.spotlights_at(lit.time_s)
-        to_eye = [(spot.position.double(), lit.eye.origin - spot.position) for spot in spots]
-        cd = [float(spot_intensity(spot, ray.float()[:, None])) for spot, (_, ray) in zip(spots, to_eye, strict=True)]
+        """Veil `[H, W]` in cd/m^2 of the lamps that shine into the eye: those of others and of streets, and the own ones if the eye rides
+        along.
+        """
+        eye = lit.eye.origin[:, None]
+        spots = ((spot, spot.position.double()[:, None]) for spot in lit.scene.spotlights_at(lit.time_s))
+        shining = [(place, float(spot_intensity(spot, (eye - place).float()))) for spot, place in spots]
+        shining += [(torch.tensor(each.position_m).double()[:, None], each.intensity_cd) for each in lit.scene.street_lamps]
         if self.rides is not None:
             for module, u, command in zip(lit.modules, lights, commands or (REST,) * len(lights), strict=True):
                 T = lit.vehicle.T_world_body @ command.turn(module.T_body_headlight).double().cpu()
-                ray = T[:3, :3].T @ (lit.eye.origin - T[:3, 3])
-                texture = module.textures.light_texture(u).cpu()
-                to_eye.append((T[:3, 3], ray))
-                cd.append(command.intensity * float(module.headlight.intensity(texture, ray[:, None])))
-        if not cd:
+                cd = module.headlight.intensity(module.textures.light_texture(u).cpu(), T[:3, :3].T @ (eye - T[:3, 3:]))
+                shining.append((T[:3, 3:], command.intensity * float(cd)))
+        if not shining:
             return torch.zeros(self.view.height, self.view.width)
-        places = torch.stack([place for place, _ in to_eye], 1)
-        lx = torch.tensor(cd) * lux_per_cd(places - lit.eye.origin[:, None], lit.eye.T_world_view[:3, 2:3]).float()
+        places = torch.cat([place for place, _ in shining], 1)  # [3, n]
+        lx = torch.tensor([cd for _, cd in shining]) * lux_per_cd(places - eye, lit.eye.T_world_view[:3, 2:3]).float()
         seen = sees(self._others(lit), lit.eye.origin, places, LAMP_M) & (lx > 0)
         return veil(lit.eye, places[:, seen], lx[seen], self.age_years)
 
 
 def first_oncoming(simulation: Simulation) -> str:
-    """Name of the first car that comes towards the own one at the start. Raises LuxloopError if there is none."""
-    world = simulation.world
+    """Name of the first car that comes towards the own one at the start and exists until the end. Raises LuxloopError if there is none."""
+    world, end_s = simulation.world, (simulation.scenario.steps - 1) / simulation.scenario.rate_hz
     T_ground_world = inverse(world.motion.at(0.0).T_world_ground)
     for given, body in zip(world.given, world.scene.objects, strict=True):
         T = T_ground_world @ body.track.pose_at(0.0)
-        if given.category == "car" and float(T[0, 0]) < 0 < float(T[0, 3]):
+        there = body.track.visible_at(0.0) and body.track.visible_at(end_s)
+        if there and given.category == "car" and float(T[0, 0]) < 0 < float(T[0, 3]):
             return body.name
-    raise LuxloopError("no car comes towards the own one at the start; add one, or choose another view")
+    raise LuxloopError(f"no car comes towards the own one from 0 to {end_s:g} s; add one, take fewer steps, or choose another view")

@@ -37,7 +37,7 @@ class ProjectionMetrics:
     intensity of one lamp towards it. h_deg_max, v_deg_max: largest angle from a lamp to the side, and up from its horizontal plane.
     contrast: `(L - L_b) / L_b` of the mean luminances of symbol and surround, the road within 30' of it that has at most 5 % of its light
     (Weber contrast, as in Appl. Sci. 2023, 13, 2964). stroke_arcmin: mean width of its strokes as the driver sees them, four times the
-    mean distance from their edges.
+    mean distance from their edges. Light that fills the view has neither contrast nor strokes.
     """
 
     aside_m: float = math.nan
@@ -131,7 +131,9 @@ def driver_view(symbol: SymbolFunctionParams) -> View:
 
 
 def _distance_px(mask: Tensor) -> Tensor:
-    """Distance in px of each pixel of a mask `[height, width]` bool from the nearest one outside of it."""
+    """Distance in px of each pixel of a mask `[height, width]` bool from the nearest one outside of it, NaN if there is none."""
+    if bool(mask.all()):
+        return torch.full(mask.shape, torch.nan, device=mask.device)
     distance = cv2.distanceTransform(mask.cpu().numpy().astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     return torch.from_numpy(distance).to(mask.device)
 

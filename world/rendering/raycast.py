@@ -66,8 +66,10 @@ def sees(triangles: Triangles, eye: Tensor, points: Tensor, tolerance_m: float =
     """Whether an eye or lamp at `[3]` m sees points `[..., 3, N]` in m, `[..., N]` bool.
 
     A body hides a point that lies behind its first face on the ray by more than the tolerance along the ray and `BELOW_M` across the face.
-    The road hides a point that lies behind a far side of it, or on one.
+    The road hides a point that lies behind a far side of it, or on one. A point at NaN is not seen.
     """
+    if not bool((there := ~points.isnan().any(-2)).all()):
+        return there.masked_scatter(there, sees(triangles, eye, points.movedim(-2, 0)[:, there], tolerance_m))
     eye = eye.double().cpu()
     ways = points.double().cpu().movedim(-2, 0).flatten(1) - eye[:, None]  # [3, ... * N]
     visible = torch.ones(ways.shape[1], dtype=torch.bool)

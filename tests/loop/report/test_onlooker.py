@@ -13,6 +13,7 @@ from luxloop.loop.report.film import Film
 from luxloop.loop.report.onlooker import Onlooker, first_oncoming
 from luxloop.loop.report.views import chase, driver, oncoming
 from luxloop.loop.simulation.result import mean_lights
+from luxloop.perception.eye import veil_per_lux
 from luxloop.world.headlight.matrix import LUMINANCE
 from luxloop.world.lamps.archive import save
 from luxloop.world.lamps.presets import lamp
@@ -66,6 +67,22 @@ def test_lamps_that_shine_into_the_eye_veil_the_picture(night):
     assert abs(column - float(lamps[0, 0])) < 12, "the glare lies about the lamps"
     older = looker(simulation, driver(240), age_years=80.0).picture(0.5, result.lights, (), -2.0)
     assert older.mean() > pictures[0].mean()
+
+
+def test_a_street_lamp_veils_as_its_illuminance_at_the_eye_does():
+    lamp, cd = torch.tensor([[30.0], [2.0], [7.0]], dtype=torch.float64), 500.0
+    dark, light = (
+        looker(simulation_of(objects=[], light={"street_lamps": lamps}), driver(240))
+        for lamps in ([], [{"position_m": lamp[:, 0].tolist(), "intensity_cd": cd}])
+    )
+    lit = light._lit(0.0)
+    (axis, row, column) = lit.eye.T_world_view[:3, 2], light.view.height // 2, light.view.width // 2
+    away = lamp[:, 0] - lit.eye.origin
+    cos = float(axis @ away / away.norm())
+    expected = cd * cos / float(away.norm()) ** 2 * float(veil_per_lux(torch.tensor(math.degrees(math.acos(cos))), 40.0))
+    # 5 %: the pixel's middle lies beside the axis
+    assert float(light._glare(lit, [], ())[row, column]) == pytest.approx(expected, rel=0.05)
+    assert not dark._glare(dark._lit(0.0), [], ()).any()
 
 
 def test_only_who_is_beside_the_car_sees_it_and_it_throws_no_shadow(night):
@@ -133,8 +150,9 @@ def test_an_oncoming_driver_is_veiled_by_the_own_lamps():
 
 
 def test_nobody_comes_towards_a_lonely_car(tmp_path):
-    with pytest.raises(LuxloopError, match=r"video.view = 'oncoming'.*no car comes towards"):
-        Film(tmp_path / "video.mp4", simulation_of("video.view=oncoming", objects=[]))
+    for objects in ([], [CAR | {"vanishes_s": 0.2}]):  # before the last of four steps
+        with pytest.raises(LuxloopError, match=r"video.view = 'oncoming'.*no car comes towards the own one from 0 to 0.3 s"):
+            Film(tmp_path / "video.mp4", simulation_of("video.view=oncoming", objects=objects))
 
 
 def test_film_has_the_frames_of_its_rate_between_the_steps(tmp_path):

@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 
 from luxloop import Scenario
+from luxloop.loop.recording.record import row
 from tests.loop.conftest import scenario_of, simulation_of
 from tests.refusal import sentence
 
@@ -93,6 +94,8 @@ def test_between_detections_tracks_are_predicted(latency_steps):
     tracked = scenario_of(TRACKED, detector_every=2, tracker={"confirm_frames": 2}, steps=5 + latency_steps, camera=camera)
     results = list(simulation_of(tracked).evaluations())[latency_steps:]
     assert [len(each.detections.found.boxes) for each in results] == [2, 0, 2, 0, 2]
+    scores = [[value for name, value in row(each).items() if name.endswith(".score")] for each in results]
+    assert scores == [[1, 1], [], [1, 1], [], [1, 1]]  # empty, not 0, without detection
     boxes = [each.detections.tracks.boxes for each in results]
     assert [len(each) for each in boxes] == [0, 0, 2, 2, 2]
     seen, predicted = (each[:, ::2].mean(1) for each in boxes[2:4])  # px across, of which they walk 2 a step

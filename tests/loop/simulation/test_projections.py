@@ -5,10 +5,12 @@ import math
 import cv2
 import numpy as np
 import pytest
+import torch
 
-from luxloop import LuxloopError, run
+from luxloop import LuxloopError, Utilisation, run
 from luxloop.loop.recording.record import row
 from luxloop.loop.simulation.check import check_truth
+from luxloop.loop.simulation.projections import VehiclePath, projection_metrics
 from tests.loop.conftest import simulated
 
 EYE_M = 1.3, 1.6  # height, and distance behind the lamps, of the driver's eye
@@ -74,6 +76,14 @@ def test_a_symbol_aside_turned_and_dark_is_seen_as_that(seen):
     assert one["functions.bar.far_m"] == pytest.approx(X_M + 0.5, abs=0.2)
     (dark,) = seen("functions.bar.start_s=9.0")
     assert dark.get("functions.bar.contrast") is None
+
+
+def test_light_that_fills_the_view_has_neither_contrast_nor_strokes(seen):
+    simulation = simulated(BAR, "functions.bar.length_m=0.5", "functions.bar.width_m=0.3")
+    dark, full = (torch.full((simulation.modules[0].headlight.n_pixels,), u) for u in (0.0, 1.0))
+    symbol, path = simulation.scenario.projections["bar"], VehiclePath.of(simulation.world.motion, 0.0)
+    found = projection_metrics(simulation.world, path, symbol, 0.0, [full], [Utilisation(dark)])
+    assert found.cd_max > CD and math.isnan(found.contrast) and math.isnan(found.stroke_arcmin)
 
 
 def test_a_symbol_on_the_course_of_a_bend_is_half_its_width_aside(seen):

@@ -101,7 +101,11 @@ def test_a_thin_wall_shades_what_stands_close_behind_it():
     """6 cm, 30 times the tolerance by which a surface lies before itself."""
     wall = BoxParams(name="wall", size_m=(0.02, 1, 1), track=[{"position_m": (9.95, 0, 0)}]).build()
     points = torch.tensor([[10.0, 10.0], [0.0, 2.0], [0.3, 0.3]])  # behind it and beside it
-    assert sees(Scene((wall,)).at(0.0), torch.tensor([0.0, 0, 0.6]).double(), points).tolist() == [False, True]
+    triangles, eye = Scene((wall,)).at(0.0), torch.tensor([0.0, 0, 0.6]).double()
+    assert sees(triangles, eye, points).tolist() == [False, True]
+    nowhere = torch.tensor([[10.0], [torch.nan], [0.3]])
+    several = torch.stack([torch.cat([points, nowhere], 1), torch.cat([nowhere, points], 1)])
+    assert sees(triangles, eye, several).tolist() == [[False, True, False], [False, False, True]]
 
 
 def test_the_quick_way_finds_the_same_points_in_shadow():
