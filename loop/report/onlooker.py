@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.loop.simulation.projections import VehiclePath
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import LitScene, World
 from luxloop.perception.eye import develop, smooth, veil
@@ -26,6 +25,7 @@ from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.rendering.raycast import sees
 from luxloop.world.scene.scene import Ground
 from luxloop.world.scene.triangles import Group, Instance, Triangles
+from luxloop.world.scene.vehicle import VehiclePath
 from luxloop.world.traffic.car import CarParams
 from luxloop.world.traffic.colours import GRASS, SKY, WHITE, colour
 from luxloop.world.traffic.tracked import KeyframeParams

@@ -37,7 +37,7 @@ from luxloop.loop.simulation.light_figures import (
     on_objects,
 )
 from luxloop.loop.simulation.probes import illuminance_at, veils_at
-from luxloop.loop.simulation.projections import ProjectionMetrics, VehiclePath, projection_metrics
+from luxloop.loop.simulation.projections import ProjectionMetrics, projection_metrics
 from luxloop.loop.simulation.result import Clock, Lights, StepResult, mean_lights, without
 from luxloop.loop.simulation.road_metrics import over_setpoint
 from luxloop.loop.simulation.world import ObjectLight, World, categories
@@ -46,6 +46,7 @@ from luxloop.perception.eye import threshold_increment
 from luxloop.perception.metrics import Metrics
 from luxloop.perception.tracking import TrackedBoxes
 from luxloop.world.headlight.lamp import Commands
+from luxloop.world.scene.vehicle import VehiclePath
 
 
 @dataclass(frozen=True, eq=False)

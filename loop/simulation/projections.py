@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
 import cv2
 import numpy as np
@@ -16,7 +16,7 @@ from luxloop.loop.simulation.world import LitScene, World
 from luxloop.perception.metrics import THRESHOLD
 from luxloop.world.frames import View, inverse, pose, transform, unit
 from luxloop.world.headlight.lamp import REST, Commands
-from luxloop.world.scene.vehicle import Motion
+from luxloop.world.scene.vehicle import VehiclePath
 
 MOST_PX: Final = 1280  # larger extent of the view
 LEAST_ARCMIN: Final = 0.25  # of a pixel of the view
@@ -25,8 +25,6 @@ NEAREST_M: Final = 1.0  # ahead of the lamps
 SURROUND_ARCMIN: Final = 30.0  # width of the surround
 PENUMBRA: Final = 0.05  # largest share of the symbol's light in its surround
 PLACES: Final = 4000  # of a symbol at most that are looked at from the lamps
-AHEAD_M: Final = 200.0  # of the drive's end, up to which its course goes straight on
-COURSE_S: Final = 0.1  # between the places that give the course
 
 
 @dataclass(frozen=True)
@@ -48,29 +46,6 @@ class ProjectionMetrics:
     v_deg_max: float = math.nan
     contrast: float = math.nan
     stroke_arcmin: float = math.nan
-
-
-class VehiclePath(NamedTuple):
-    """The vehicle's path in the world by ascending x: x and y in m, heading in rad, all `[n]`."""
-
-    x_m: np.ndarray
-    y_m: np.ndarray
-    heading: np.ndarray
-
-    @classmethod
-    def of(cls, motion: Motion, duration_s: float) -> "VehiclePath":
-        """The course of a drive, straight on after its end."""
-        poses = [motion.at(t).T_world_ground for t in np.arange(0, duration_s + COURSE_S, COURSE_S)]
-        ahead = torch.tensor([[AHEAD_M, 0.0, 0.0]], dtype=torch.float64).T
-        way, last = torch.stack([*(each[:2, 3] for each in poses), transform(poses[-1], ahead)[:2, 0]]), [poses[-1]]
-        heading = np.array([torch.atan2(each[1, 0], each[0, 0]) for each in poses + last])
-        x, y = way.T.numpy()
-        order = np.argsort(x, kind="stable")
-        return cls(x[order], y[order], heading[order])
-
-    def aside_m(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-        """Distances in m of places of the world to the left of the course."""
-        return (y_m - np.interp(x_m, self.x_m, self.y_m)) * np.cos(np.interp(x_m, self.x_m, self.heading))
 
 
 def projection_metrics(

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise, takewhile
-from typing import Annotated, Final, Self
+from typing import Annotated, Final, NamedTuple, Self
 
 import numpy as np
 import scipy  # loads its parts on first use
@@ -21,7 +21,7 @@ from torch import Tensor
 
 from luxloop.world.caches import keeping
 from luxloop.world.files import afford
-from luxloop.world.frames import pose, rotation
+from luxloop.world.frames import pose, rotation, transform
 from luxloop.world.params import NotNegative, Params
 from luxloop.world.roads.base import Floats, Road, smoothstep
 
@@ -29,6 +29,8 @@ BYTES_A_MOMENT: Final = 900  # of the integrated motion, with temporaries
 LOW_PASS_M: Final = (10.0, 50.0)  # wavelengths of height and slope at which the low-pass, a raised cosine, halves the amplitude
 LEARNT_M: Final = 10.0  # of way, over which the ground frame leaves the world's plane z = 0 of the start for the road
 PROFILE_M: Final = 0.05  # spacing of the road's heights along the way
+AHEAD_M: Final = 200.0  # of the drive's end, up to which its course goes straight on
+COURSE_S: Final = 0.1  # between the places that give the course
 
 
 class CourseParams(Params):
@@ -175,6 +177,29 @@ class Motion:
 
 
 STANDING: Final = Motion(np.zeros(1), np.zeros((1, len(COLUMNS))))
+
+
+class VehiclePath(NamedTuple):
+    """The vehicle's path in the world by ascending x: x and y in m, heading in rad, all `[n]`."""
+
+    x_m: np.ndarray
+    y_m: np.ndarray
+    heading: np.ndarray
+
+    @classmethod
+    def of(cls, motion: Motion, duration_s: float) -> "VehiclePath":
+        """The course of a drive, straight on after its end."""
+        poses = [motion.at(t).T_world_ground for t in np.arange(0, duration_s + COURSE_S, COURSE_S)]
+        ahead = torch.tensor([[AHEAD_M, 0.0, 0.0]], dtype=torch.float64).T
+        way, last = torch.stack([*(each[:2, 3] for each in poses), transform(poses[-1], ahead)[:2, 0]]), [poses[-1]]
+        heading = np.array([torch.atan2(each[1, 0], each[0, 0]) for each in poses + last])
+        x, y = way.T.numpy()
+        order = np.argsort(x, kind="stable")
+        return cls(x[order], y[order], heading[order])
+
+    def aside_m(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+        """Distances in m of places of the world to the left of the course."""
+        return (y_m - np.interp(x_m, self.x_m, self.y_m)) * np.cos(np.interp(x_m, self.x_m, self.heading))
 
 
 def body_pose(attitude: Tensor, pivot_x_m: float) -> Tensor:

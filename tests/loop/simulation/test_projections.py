@@ -10,7 +10,8 @@ import torch
 from luxloop import LuxloopError, Utilisation, run
 from luxloop.loop.recording.record import row
 from luxloop.loop.simulation.check import check_truth
-from luxloop.loop.simulation.projections import VehiclePath, projection_metrics
+from luxloop.loop.simulation.projections import projection_metrics
+from luxloop.world.scene.vehicle import VehiclePath
 from tests.loop.conftest import simulated
 
 EYE_M = 1.3, 1.6  # height, and distance behind the lamps, of the driver's eye
