@@ -90,10 +90,6 @@ class LitScene:
         """Whether the surfaces have been rendered."""
         return not {"rendered", "transports"}.isdisjoint(vars(self))
 
-    def begins_with(self, part: Part) -> bool:
-        """Whether no other part than this has been read: of a standing scene, later ones are cut from the whole, which lasts."""
-        return not self._parts or str(part) in self._parts
-
     def within(self, part: Part) -> "LitScene":
         """A part of the whole view, rendered separately."""
         if part == self.eye.whole:
@@ -334,7 +330,7 @@ class World:
         part: rows and columns of the image, None for all.
         """
         lit = self.lit(time_s)
-        if part is not None and not lit.is_rendered and (self.moving or lit.begins_with(part)):
+        if part is not None and self.moving and not lit.is_rendered:  # of a standing scene, parts are cut from the whole, which lasts
             lit, part = lit.within(part), None
         if part is None:
             return lit.expose(lights, commands, self.metered)[1], lit.base
