@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import math
 import secrets
 import time
 import traceback
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
 HELLO_S = 10.0  # time-out of a client's token
 UNKNOWN = 4401  # close code for a wrong token
 DEAF_S = 20.0  # time-out of sending a message
+ASLEEP_S = 0.5  # a client that has not shown a message for so long, as a hidden page, gets no new pictures until it has
 STATUS_S = 0.1  # interval of messages on the session's state
 READ_ONLY = ("hello", "want", "scrub", "shown", "summary", "beam", "meter", "schema")  # message types open to watchers
 MOST_ANSWERS = 100  # unread by a client
@@ -75,19 +77,32 @@ Answer = tuple[dict[str, Any], Ask | None]
 
 
 class Client:
-    """A client's connection. number: unique. is_here: whether it comes from this machine."""
+    """A client's connection. number: unique. is_here: whether it comes from this machine. busy_s: by `time.monotonic`, since when it has
+    messages of a run that it has not shown.
+    """
 
     def __init__(self, connection: ServerConnection, number: int, role: str) -> None:
         self.connection, self.number, self.role = connection, number, role
         self.stream: Stream | None = None  # made where PyTorch is imported
         self.request = Request()
         self.is_here = ip_address(connection.remote_address[0]).is_loopback
+        self.busy_s = math.inf
         self.changed, self.answers, self.asks = asyncio.Event(), list[Answer](), set[Ask]()
 
     def reply(self, head: dict[str, Any], ask: Ask | None = None) -> None:
         """Queue an answer. ask: the request that it answers, of which the client may send the next one once the answer is sent."""
         self.answers.append((head, ask))
         self.changed.set()
+
+    @property
+    def looks(self) -> bool:
+        """Whether the client shows what it is sent."""
+        return time.monotonic() < self.busy_s + ASLEEP_S
+
+    def has_shown(self) -> None:
+        """Note whether the client has shown all steps that it was sent."""
+        if self.stream is not None and self.request.shown >= self.stream.id:
+            self.busy_s = math.inf
 
     async def send(self, data: bytes) -> None:
         """Send a message. Raises TimeoutError if the client does not read."""
@@ -153,7 +168,6 @@ class Studio:
         self._number += 1
         client = Client(connection, self._number, role)
         self._clients.append(client)
-        self._look()
         if role == "edit" and self._pen is None:
             self._pen = client.number
         client.reply({"type": "welcome", "protocol": PROTOCOL, "version": installed_version(), "role": role, "id": client.number})
@@ -174,7 +188,6 @@ class Studio:
             if self._pen == client.number:
                 self._let_go()
                 self._pen = next((each.number for each in self._clients if each.role == "edit"), None)
-            self._look()
             self._tell()
 
     def _receive(self, client: Client, data: bytes | str) -> None:
@@ -199,6 +212,8 @@ class Studio:
                 client.request = replace(client.request, at=None if step is None else (message.run, step))
             case Acknowledge(id=id_):
                 client.request = replace(client.request, shown=max(client.request.shown, id_))
+                client.has_shown()
+                self._look()
             case AskSummary() | AskBeam() | AskMeter() | Button(type="schema"):
                 self._inquire(client, message)
             case Button(type="pen"):
@@ -240,9 +255,10 @@ class Studio:
         self.session.ask(Drive(type="drive", throttle=None, steering=None), lambda head: None)
 
     def _look(self) -> None:
-        self.session.look(frozenset(view for client in self._clients for view in client.request.wanted))
+        self.session.look(frozenset(view for client in self._clients if client.looks for view in client.request.wanted))
 
     def _tell(self) -> None:
+        self._look()
         for client in self._clients:
             client.changed.set()
 
@@ -292,7 +308,9 @@ class Studio:
                 client.stream = client.stream or Stream()
                 messages = client.stream.messages(state, client.request)
                 while (data := await self._loop.run_in_executor(self._threads, next, messages, None)) is not None:
+                    client.busy_s = min(client.busy_s, time.monotonic())
                     await client.send(data)
+                client.has_shown()
                 if client.stream.rests_s > rests_s:  # newer steps may be waiting then
                     rests_s = client.stream.rests_s
                     self._loop.call_later(rests_s - time.perf_counter(), client.changed.set)

@@ -28,13 +28,14 @@ class Snapshot:
     """A step for clients.
 
     plain: its head, compressed. lights: utilisations `[n_p]` times commanded intensity, one per module; an unchanged tensor is shared with
-    the previous step. pictures: requested ones by the names of `PICTURES`. exact: arrays for programs.
+    the previous step. pictures: requested ones by the names of `PICTURES`. views: requested contents. exact: arrays for programs.
     """
 
     step: int
     plain: bytes
     lights: tuple[Tensor, ...]
     pictures: Pictures
+    views: frozenset[View]
     exact: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
@@ -97,7 +98,7 @@ def snapshot(
         "notes": [text for text, _ in captions(result, simulation)[2:]],  # without name and step
     }
     more, arrays = _exact(simulation, result, wanted)
-    return Snapshot(result.step, plain({**head, **more, "views": sorted(wanted)}), lights, _pictures(simulation, result, wanted), arrays)
+    return Snapshot(result.step, plain({**head, **more}), lights, _pictures(simulation, result, wanted), frozenset(wanted), arrays)
 
 
 def plain(head: Mapping[str, Any]) -> bytes:

@@ -26,11 +26,11 @@ HALF_PEAK = 1024.0  # peak of a module in units of its half floats, far below th
 class Stream:
     """Messages of a session for a client. Used by one thread at a time, but not always the same.
 
-    rests_s: by `time.perf_counter`, when the next step of a playing run is due.
+    id: of the newest step. rests_s: by `time.perf_counter`, when the next step of a playing run is due.
     """
 
     def __init__(self) -> None:
-        self._number, self._id, self.rests_s = -1, 0, 0.0
+        self._number, self.id, self.rests_s = -1, 0, 0.0
         self._sent, self._blocks = list[RunStream](), Blocks()
 
     def close(self) -> None:
@@ -39,10 +39,9 @@ class Stream:
 
     def messages(self, state: SessionState, request: Request) -> Iterator[bytes]:
         """Messages that update the client. While the session plays, rows and steps come at intervals, so that making them takes a small
-        share of the time.
+        share of the time, and a step that lacks wanted contents is skipped, since the next one has them.
         """
-        resting = state.playing and request.at is None and time.perf_counter() < self.rests_s
-        made, spent_s, last = self._newer(state, request, resting), 0.0, self._id
+        made, spent_s, last = self._newer(state, request), 0.0, self.id
         while True:
             began_s = time.thread_time()  # excludes the time of other threads
             data = next(made, None)
@@ -50,10 +49,12 @@ class Stream:
             if data is None:
                 break
             yield data
-        if self._id != last:
+        if self.id != last:
             self.rests_s = time.perf_counter() + min(REST * spent_s, LONGEST_REST_S)
 
-    def _newer(self, state: SessionState, request: Request, resting: bool) -> Iterator[bytes]:
+    def _newer(self, state: SessionState, request: Request) -> Iterator[bytes]:
+        follows = state.playing and request.at is None
+        resting = follows and time.perf_counter() < self.rests_s
         if state.number != self._number and state.scenario is not None:
             self._number = state.number
             self._sent = [RunStream(number, run, self._blocks) for number, run in enumerate(state.runs)]
@@ -61,13 +62,13 @@ class Stream:
         for sent in self._sent:
             rows, done = sent.run.rows, len(sent.run.rows)
             yield from sent.edits()  # first, since they bring the rows' columns
-            if resting:
+            if resting or (follows and sent.id and not request.wanted <= sent.run.snapshots[-1].views):
                 continue
             yield from sent.rows(rows, done)
             run, step = request.at or (sent.number, len(sent.run.snapshots) - 1)
             if run == sent.number and sent.id <= request.shown:
-                for data in sent.step(step, request, self._id + 1):
-                    self._id = sent.id
+                for data in sent.step(step, request, self.id + 1):
+                    self.id = sent.id
                     yield data
 
 
@@ -149,7 +150,8 @@ class RunStream:
             notes = [*notes, FORGOTTEN]
         exact = pictures | {name: array for name, array in snapshot.exact.items() if name.partition(".")[0] in wanted}
         modules = [{**each, "scale_cd": scale} for each, scale in zip(head["modules"], scales, strict=True)]
-        head = {"type": "step", "run": self.number, **head, "notes": notes, "light_windows": windows, "modules": modules}
+        more = {"notes": notes, "light_windows": windows, "modules": modules, "views": sorted(snapshot.views)}
+        head = {"type": "step", "run": self.number, **head, **more}
         if request.shared and (shared := self._blocks.put(self.number, head["id"], {**plain, **exact})) is not None:
             return pack({**head, "shared": shared})
         sent = {name: encode(array) for name, array in plain.items()} | {name: raw(array) for name, array in exact.items()}

@@ -19,8 +19,8 @@ from websockets.uri import parse_uri
 
 import luxloop
 from luxloop.loop.recording.record import row
-from luxloop.loop.studio.messages import VIEWS, Button, Request
-from luxloop.loop.studio.server import MOST_ASKED
+from luxloop.loop.studio.messages import VIEWS, Button, Request, View
+from luxloop.loop.studio.server import ASLEEP_S, MOST_ASKED
 from luxloop.loop.studio.session import SessionState
 from luxloop.loop.studio.sources import refuse_foreign
 from luxloop.loop.studio.stream import Stream
@@ -308,6 +308,38 @@ def test_a_client_that_does_not_read_does_not_slow_the_loop(served, editor):
             editor.of("status", playing=False)
             assert len(served.run.rows) == 6
             assert time.monotonic() - began_s < 60  # six steps take seconds; a loop that waits for who is deaf takes for ever
+
+
+def test_no_picture_is_taken_for_a_client_that_does_not_show_its_steps(served, editor):
+    editor.reset()
+    _, arrays = editor.of("step", step=0)
+    assert "camera.on" in arrays
+    editor.say("want", views=[])
+    with watching(served.port, served.tokens.watch) as hidden:
+        hidden.say("want", views=["camera"], ask=1)
+        hidden.of("done", ask=1)
+        editor.say("step")
+        while unpacked(last := hidden.socket.recv(20))[0]["type"] != "step":
+            pass
+        time.sleep(1.1 * ASLEEP_S)
+        editor.step(2)  # notices that it is asleep
+        editor.step(3)
+        assert served.run.snapshots[-1].pictures == {}
+        hidden.say("shown", id=unpacked(last)[0]["id"])
+        head, arrays = hidden.until(lambda head: head["type"] == "step" and "camera" in head["views"])
+        assert head["step"] == 3 and "camera.on" in arrays  # at rest it is taken again
+    editor.say("want", views=VIEWS)
+
+
+def test_a_client_that_wakes_waits_for_a_step_with_what_it_shows(served, editor):
+    editor.reset()
+    feed, state = Stream(), replace(served.studio.session.state, playing=True)
+    assert "step" in kinds(feed, state)
+    blind = replace(state.runs[0].snapshots[-1], views=frozenset[View](), pictures={})
+    state.runs[0].snapshots.append(blind)
+    assert kinds(feed, state, shown=9) == []
+    assert "step" in kinds(feed, replace(state, playing=False), shown=9), "nothing better comes"
+    editor.reset()
 
 
 def test_what_a_client_asks_waits_on_its_side_while_the_session_is_busy(served, monkeypatch):
