@@ -50,7 +50,7 @@ class CarParams(RandomParams):
             **{name: ("glass", 0.03) for name in ("windscreen", "rear_window", "windows")},
         }
         pieces = [*_lower(size, style), *_cabin(size, style), *_wheels(size), *_lamps(size)]
-        return self.body(pieces, looks, self.pose_track(), _spotlights(size) if self.lit else ())
+        return self.body(pieces, looks, self.pose_track(), spotlights(*_lamp_places(size)) if self.lit else ())
 
 
 def _belt(size: Floats) -> float:
@@ -136,11 +136,11 @@ def _lamps(size: Floats) -> list[Piece]:
     ]
 
 
-def _spotlights(size: Floats) -> tuple[Spotlight, ...]:
+def spotlights(head: Floats, tail: Floats) -> tuple[Spotlight, ...]:
+    """Low beams and tail lamps from the middles `[n, 3]` m of headlamps and tail lamps."""
     down = np.radians(LOW_BEAM_DOWN_DEG)
-    head, tail = (torch.from_numpy(each) for each in _lamp_places(size))
     ahead, back = torch.tensor([np.cos(down), 0.0, -np.sin(down)]), torch.tensor([-1.0, 0.0, 0.0], dtype=torch.float64)
     return (
-        *(Spotlight(each, ahead, LOW_BEAM_CD, LOW_BEAM_WIDTH_DEG) for each in head),
-        *(Spotlight(each, back, TAIL_CD, (40.0, 15.0)) for each in tail),
+        *(Spotlight(torch.from_numpy(each), ahead, LOW_BEAM_CD, LOW_BEAM_WIDTH_DEG) for each in head),
+        *(Spotlight(torch.from_numpy(each), back, TAIL_CD, (40.0, 15.0)) for each in tail),
     )

@@ -19,7 +19,7 @@ OF_MATERIALS: Final[dict[MaterialName, Rgb]] = {
     "lane_paint": (1.0, 0.99, 0.95),
 }
 WHITE, RED, BLUE, LIME = (1.0, 1.0, 1.0), (0.7, 0.03, 0.03), (0.02, 0.1, 0.5), (0.55, 0.9, 0.04)
-OF_PARTS: Final[dict[str, Rgb]] = {"tail_lamps": RED, "rear_lamp": RED, "reflector": RED}
+OF_PARTS: Final[dict[str, Rgb]] = {"tail_lamps": RED, "tail_lamp": RED, "rear_lamp": RED, "reflector": RED}
 CLOTHES: Final = ((1, 1, 1), (0.2, 0.3, 0.6), (0.55, 0.2, 0.16), (0.25, 0.4, 0.3), (0.55, 0.45, 0.32), (0.5, 0.5, 0.58))
 PAINTS: Final = ((1, 1, 1), (1, 1, 1), (0.15, 0.25, 0.6), (0.6, 0.07, 0.05), (0.7, 0.72, 0.75), (0.16, 0.3, 0.2))
 DARK: Final = 0.2  # albedo below which sheeting of a sign is coloured

@@ -13,6 +13,7 @@ from luxloop.world.params import Positive, Share
 from luxloop.world.scene.body import Body, Part
 from luxloop.world.traffic.animal import AnimalParams
 from luxloop.world.traffic.car import CarParams
+from luxloop.world.traffic.motorcycle import MotorcycleParams
 from luxloop.world.traffic.people import CyclistParams, PedestrianParams
 from luxloop.world.traffic.shapes import Piece, blob, block, limb, plate, polygon, tube, xyz
 from luxloop.world.traffic.tracked import Looks, RandomParams, Reported, SurfaceParams, TrackedParams, check_parts
@@ -180,6 +181,14 @@ class MeshParams(SolidParams):
 
 
 ObjectParams = Annotated[
-    BoxParams | MeshParams | PedestrianParams | CyclistParams | CarParams | AnimalParams | TrafficSignParams | ClutterParams,
+    BoxParams
+    | MeshParams
+    | PedestrianParams
+    | CyclistParams
+    | MotorcycleParams
+    | CarParams
+    | AnimalParams
+    | TrafficSignParams
+    | ClutterParams,
     Field(discriminator="kind"),
 ]

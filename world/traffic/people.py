@@ -1,15 +1,13 @@
 """People on foot and on bicycles: a skeleton of joints, dressed with limbs, after Drillis & Contini's body segments (1966)."""
 
 from dataclasses import dataclass
-from functools import cache
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from luxloop.world.scene.body import Body, Figure
-from luxloop.world.traffic.shapes import Floats, Piece, block, ellipsoid, limb, tube, xyz
+from luxloop.world.traffic.shapes import Floats, Piece, block, ellipsoid, limb, torus, tube, xyz
 from luxloop.world.traffic.tracked import Looks, RandomParams, Reported
 
 UPPER_ARM, FOREARM, THIGH, SHANK, FOOT = 0.186, 0.20, 0.245, 0.246, 0.11
@@ -249,10 +247,15 @@ def _grips(who: Person) -> Floats:
 
 def riding(who: Person, phase: float, lean: float) -> Joints:
     """Seated on a bicycle, leaning forward by `lean` rad; phase: share 0..1 of a turn of the cranks."""
-    h, hips = who.height_m, _saddle(who) + xyz(0, 0, 0.05 * who.height_m)
-    up = np.array([np.sin(lean), 0.0, np.cos(lean)])
+    ankle = _pedals(phase) + xyz(-0.06, 0, 0.03 + SOLE * who.height_m)
+    return seated(who, _saddle(who) + xyz(0, 0, 0.05 * who.height_m), lean, ankle, _grips(who))
+
+
+def seated(who: Person, hips: Floats, lean: float, ankle: Floats, hand: Floats) -> Joints:
+    """Seated astride with the hips at a place `[3]` m, leaning forward by `lean` rad. ankle, hand: `[2, 3]` m, the left one first."""
+    h, up = who.height_m, np.array([np.sin(lean), 0.0, np.cos(lean)])
     out = np.array([[0.0, side, 0.0] for side in SIDES])
-    hip, ankle, hand = hips + out * 0.052 * h, _pedals(phase) + xyz(-0.06, 0, 0.03 + SOLE * h), _grips(who)
+    hip = hips + out * 0.052 * h
     shoulder = hips + (TRUNK - 0.022) * h * up + out * 0.1 * h * who.girth**0.7
     knee = np.stack([bent(a, b, THIGH * h, SHANK * h, np.array([1.0, 0, 0.3])) for a, b in zip(hip, ankle, strict=True)])
     elbow = np.stack(
@@ -272,21 +275,10 @@ def bicycle(who: Person, phase: float) -> list[Piece]:
     tubes = [(crank, saddle + xyz(0, 0, -0.04)), (crank, low_stem), (seat, stem), (crank, rear), (seat, rear), (front, stem)]
     tubes += [(stem, grips[0]), (stem, grips[1]), (crank + aside, pedals[0]), (crank - aside, pedals[1])]
     pieces = [limb("frame", a, b, 0.018, 0.018, sides=5) for a, b in tubes]
-    ring, faces = _tyre()
-    pieces += [Piece("tyres", ring + centre, faces) for centre in (rear, front)]
+    pieces += [torus("tyres", centre, WHEEL_M, 0.02, 16, 5) for centre in (rear, front)]
     pieces += [ellipsoid("tyres", saddle, (0.13, 0.07, 0.03), sides=8, rings=5)]
     pieces += [block("tyres", pedal, (0.1, 0.1, 0.03)) for pedal in pedals]
     pieces.append(ellipsoid("front_lamp", stem + xyz(0.06, 0, -0.06), (0.03, 0.035, 0.035), sides=8, rings=6))
     pieces.append(ellipsoid("rear_lamp", saddle + xyz(-0.12, 0, -0.1), (0.02, 0.03, 0.025), sides=8, rings=6))
     pieces.append(block("reflector", rear + xyz(-WHEEL_M + 0.06, 0, 0.2), (0.01, 0.06, 0.08)))
     return pieces
-
-
-@cache
-def _tyre() -> tuple[Floats, NDArray[np.int64]]:
-    """Vertices about the hub and faces; a trimesh torus takes longer than the rest of a cyclist."""
-    import trimesh
-
-    ring = trimesh.creation.torus(WHEEL_M - 0.02, 0.02, major_sections=16, minor_sections=5)
-    ring.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
-    return np.array(ring.vertices), np.array(ring.faces, dtype=np.int64)

@@ -83,6 +83,22 @@ def ellipsoid(part: str, centre: ArrayLike, radii: ArrayLike, sides: int = 12, r
     return tube(part, centres, np.sin(angle)[:, None] * np.array([b, a]), (0, 1, 0), sides)
 
 
+def torus(part: str, centre: ArrayLike, radius: float, section: float, sides: int, around: int) -> Piece:
+    """A tyre in a plane of constant y. radius: of its tread in m; section: of its round cross-section in m, a polygon of `around` sides."""
+    vertices, faces = _torus(radius, section, sides, around)
+    return Piece(part, vertices + np.asarray(centre, float), faces)
+
+
+@cache
+def _torus(radius: float, section: float, sides: int, around: int) -> tuple[Floats, NDArray[np.int64]]:
+    """Vertices about the hub and faces; a trimesh torus takes longer than the rest of a cyclist."""
+    import trimesh
+
+    ring = trimesh.creation.torus(radius - section, section, major_sections=sides, minor_sections=around)
+    ring.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
+    return np.array(ring.vertices), np.array(ring.faces, dtype=np.int64)
+
+
 def block(part: str, centre: ArrayLike, size: ArrayLike) -> Piece:
     """A box along the axes, with corners of its own for each face, so that smooth normals leave its edges sharp."""
     corners = _cube() * np.asarray(size, float) + np.asarray(centre, float)

@@ -105,7 +105,7 @@ class TrackedParams(Params):
 Looks = dict[str, tuple[MaterialName, float]]  # material and albedo of parts, by their names
 
 # Parts through which road users see: light on them dazzles.
-EYES = frozenset({"head", "hair", "helmet", "windscreen"})
+EYES = frozenset({"head", "hair", "helmet", "visor", "windscreen"})
 
 
 class SurfaceParams(Params):

@@ -7,7 +7,7 @@ import { poseOf, rounded } from "./poses.ts";
 import type { Thing } from "./thing.ts";
 import { clickWay } from "./way.ts";
 
-const SPEEDS_M_S: Record<string, number> = { car: 10, cyclist: 5, pedestrian: 1.4, animal: 3 };
+const SPEEDS_M_S: Record<string, number> = { car: 10, motorcycle: 10, cyclist: 5, pedestrian: 1.4, animal: 3 };
 
 export function giveCourse(placing: Placing, thing: Thing): void {
   const from = new Vector3().setFromMatrixPosition(thing.T);

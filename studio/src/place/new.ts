@@ -91,6 +91,8 @@ const OBJECTS: readonly Addable[] = [
   object("car, parked", { kind: "car", lit: false }, 0),
   object("pedestrian", { kind: "pedestrian" }, 90),
   object("cyclist", { kind: "cyclist" }, 0),
+  object("motorcycle, oncoming", { kind: "motorcycle" }, 180),
+  object("motorcycle, ahead", { kind: "motorcycle" }, 0),
   object("deer", { kind: "animal" }, 90),
   object("traffic sign", { kind: "traffic_sign" }, 180),
   object("box", { kind: "box", size_m: [0.6, 0.6, 0.6], category: "other" }, 0),

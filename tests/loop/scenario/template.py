@@ -48,7 +48,8 @@ HEAD = """\
 schema_version = 1
 """
 TAIL = """
-# Objects, as many as wanted: kind "box", "mesh" (from a file), "pedestrian", "cyclist", "car", "animal", "traffic_sign", "clutter".
+# Objects, as many as wanted: kind "box", "mesh" (from a file), "pedestrian", "cyclist", "motorcycle", "car", "animal",
+# "traffic_sign", "clutter".
 # They may move, appear and vanish; a table [traffic] puts some there at random.
 # [[objects]]
 # kind = "box"

@@ -22,7 +22,7 @@ from tests.refusal import refusal
 from tests.world.grids import see
 
 HERE = ({"position_m": (0.0, 0.0, 0.0)},)
-KINDS = ["pedestrian", "cyclist", "car", "animal", "traffic_sign", "clutter"]
+KINDS = ["pedestrian", "cyclist", "motorcycle", "car", "animal", "traffic_sign", "clutter"]
 
 
 def made(kind: str, seed: int = 0, **keys: object) -> Body:
@@ -176,6 +176,17 @@ def test_traffic_that_is_nowhere_is_told():
 def test_cyclists_have_bicycles():
     assert {"head", "helmet", "tyres", "frame"} <= {part.name for part in made("cyclist", helmet=True).parts}
     assert "helmet" not in {part.name for part in made("cyclist", helmet=False).parts}
+
+
+def test_a_motorcycle_has_a_rider_and_one_lamp_to_each_end():
+    body = made("motorcycle", height_m=1.75)
+    assert {"helmet", "visor", "jacket", "tyres", "engine", "headlamp", "tail_lamp", "plate"} <= {part.name for part in body.parts}
+    (low, high), (head, tail) = body.bounds, body.spotlights
+    size = (high - low).tolist()
+    assert size == pytest.approx([2.1, 0.9, 1.75], abs=0.15) and not made("motorcycle", lit=False).spotlights
+    assert head.intensity_cd == LOW_BEAM_CD and head.axis[0] > 0.99 and tail.axis[0] == -1
+    # UN R53: headlamps 500 to 1200 mm, tail lamps 250 to 1500 mm above the ground
+    assert 0.5 < float(head.position[2]) < 1.2 and 0.25 < float(tail.position[2]) < 1.5
 
 
 def test_files_with_other_axes_are_turned(tmp_path):
