@@ -34,12 +34,13 @@ PARTS: Mapping[str, Mapping[str, Any]] = {  # tables within answers; ["Name"] is
     "Column": {"name": str, "unit": str, "description": str},
     # A point source without shadows.
     "StreetLamp": {"position_m": Vector, "intensity_cd": float},
-    # Facts of a run.
+    # Facts of a run. lamps: their origins by side, in the frame of the car's body.
     "Run": {
         "label": str,
         "overrides": list[str],
         "controllers": dict[str, str],
         "columns": ["Column"],
+        "lamps": dict[str, Vector],
         "modules": ["Module"],
         "camera": "Camera",
         "ambient_lx": float,

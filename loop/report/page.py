@@ -260,7 +260,8 @@ def _walls(figure: SubFigure, simulation: Simulation, last: Evaluation) -> None:
     for axes, side in zip(figure.subplots(len(sides), 1, squeeze=False, sharex=True)[:, 0], sides, strict=True):
         mine = [number for number, module in enumerate(simulation.modules) if module.side == side]
         modules = under(simulation.modules, last.now.commands)
-        wall = wall_light([modules[n] for n in mine], [last.lights[n] for n in mine], WALL_COLUMNS)
+        mount = simulation.scenario.headlight
+        wall = wall_light([modules[n] for n in mine], [last.lights[n] for n in mine], mount, WALL_COLUMNS)
         extent = (-side_deg, side_deg, -down_deg, up_deg)
         most = float(wall.max())
         field(axes, wall.cpu().numpy(), extent, "lx", vmin=0, vmax=most or 1)

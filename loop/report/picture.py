@@ -17,7 +17,9 @@ from luxloop.controllers.symbol.sensing.projector import SymbolParams
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.recording.functions_summary import plain_name
 from luxloop.loop.recording.video import Picture, tone_map
+from luxloop.loop.scenario.model import HeadlightParams
 from luxloop.loop.scenario.plant import shadow_of
+from luxloop.loop.simulation.build_lamps import T_world_reference
 from luxloop.loop.simulation.columns import loss_name
 from luxloop.loop.simulation.detection import name_of
 from luxloop.loop.simulation.evaluator import Evaluation, FrameDetections, SymbolStep
@@ -26,7 +28,7 @@ from luxloop.loop.simulation.road_metrics import SymbolEvaluator
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.birdseye import rectify
 from luxloop.perception.camera import expose, luminance_of
-from luxloop.world.frames import View, pose_from_degrees, transform
+from luxloop.world.frames import View, transform
 from luxloop.world.light.emitters import Source, wall_illuminance
 from luxloop.world.traffic.tracked import Category
 
@@ -195,7 +197,8 @@ def frame_picture(result: Evaluation, simulation: Simulation, white: Tensor) -> 
     for name in list(result.held)[:1]:
         if (evaluator := simulation.controlled[name].evaluator) is not None:
             _paste(picture, _from_above(result, simulation, evaluator, white, round(ABOVE * height)), margin, left=True)
-    wall = wall_light(under(simulation.modules, result.now.commands), result.lights, round(WALL_SHARE * width))
+    modules, mount = under(simulation.modules, result.now.commands), simulation.scenario.headlight
+    wall = wall_light(modules, result.lights, mount, round(WALL_SHARE * width))
     _paste(picture, tone_map(wall, wall.max().clamp(min=1e-6)), margin, left=False)
     lines = captions(result, simulation)
     for number, (text, colour) in enumerate(lines):
@@ -268,8 +271,8 @@ def _symbol_caption(name: str, simulation: Simulation, held: SymbolStep) -> tupl
     return f"{name}, {simulation.controlled[name].params.name}: {seen}; {lies}", LOST_RGB if loss else SEEN_RGB
 
 
-def wall_light(modules: Sequence[ShiningModule], lights: Sequence[Tensor], columns: int) -> Tensor:
-    """Illuminance `[rows, columns]` in lx of all modules on a wall 25 m ahead of the point midway between the lamps."""
+def wall_light(modules: Sequence[ShiningModule], lights: Sequence[Tensor], mount: HeadlightParams, columns: int) -> Tensor:
+    """Illuminance `[rows, columns]` in lx of all modules on a wall 25 m ahead, over angles from `T_world_reference`."""
     side, down, up = WALL_DEG
     h, v = torch.linspace(-side, side, columns), torch.linspace(up, -down, round(columns * (up + down) / (2 * side)))
     lit = [
@@ -277,6 +280,5 @@ def wall_light(modules: Sequence[ShiningModule], lights: Sequence[Tensor], colum
         for module, u in zip(modules, lights, strict=True)
         if bool(u.any())
     ]
-    middle = pose_from_degrees((0.0, 0.0, float(modules[0].T_world_module[2, 3])))
     H, V = torch.meshgrid(h, v, indexing="xy")
-    return wall_illuminance(lit, middle, H, V, WALL_M)
+    return wall_illuminance(lit, T_world_reference({module.side for module in modules}, mount), H, V, WALL_M)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from luxloop.loop.scenario.model import HeadlightParams, Scenario, validate
-from luxloop.loop.simulation.build_lamps import T_world_lamp
+from luxloop.loop.simulation.build_lamps import T_world_lamp, T_world_reference
 from luxloop.loop.simulation.build_scene import build_scene
 from luxloop.world.frames import R_ISO_OPENCV, View, pose, pose_from_degrees
 from luxloop.world.headlight.lamp import Commands, Lamp, direction
@@ -53,10 +53,8 @@ class LitCar:
 
     @property
     def T_world_middle(self) -> Tensor:
-        """Reference pose `[4, 4]` of angles: the only lamp's, or the point midway between both."""
-        if len(self.lamps) == 1:
-            return T_world_lamp(next(iter(self.lamps)), self.mount)
-        return pose_from_degrees((0.0, 0.0, self.mount.height_m))
+        """As `T_world_reference`."""
+        return T_world_reference(self.lamps, self.mount)
 
     @cached_property
     def sources(self) -> tuple[Source, ...]:

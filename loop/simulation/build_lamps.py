@@ -1,6 +1,6 @@
 """Builds the lamps of a scenario: mounted and turned modules, beams, raw utilisations and pixel controllers."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TypeVar, cast
 
 import torch
@@ -59,6 +59,11 @@ def _of_side(side: Side, params: HeadlightParams, device: torch.device) -> Seque
 def T_world_lamp(side: str, params: HeadlightParams) -> Tensor:
     """Pose `[4, 4]` of a lamp on the car."""
     return pose_from_degrees((0.0, (0.5 if side == "left" else -0.5) * params.distance_m, params.height_m))
+
+
+def T_world_reference(sides: Iterable[str], params: HeadlightParams) -> Tensor:
+    """Pose `[4, 4]` from which angles count: of the only lamp, or midway between both."""
+    return torch.stack([T_world_lamp(each, params) for each in sides]).mean(0)
 
 
 def turn_part(part: PartOfLamp, side: str, params: HeadlightParams) -> PartOfLamp:

@@ -242,7 +242,8 @@ def write_picture(
     camera = evaluator.simulation.scenario.camera
     images = [evaluator.frame(evaluator.evaluate(lights).luminance, 0, True) * (2**camera.bits - 1) for lights in beams.values()]
     seen = [luminance_of(image, camera).cpu() for image in images]
-    walls = [wall_light(evaluator.simulation.modules, lights, WALL_COLUMNS).cpu() for lights in beams.values()]
+    modules, mount = evaluator.simulation.modules, evaluator.simulation.scenario.headlight
+    walls = [wall_light(modules, lights, mount, WALL_COLUMNS).cpu() for lights in beams.values()]
     white = float(torch.quantile(seen[-1].flatten()[::7], BRIGHT)) * 1.3
     scale = LogNorm(FAINTEST_LX, max(1.0, *(float(wall.max()) for wall in walls)))  # one for all, so that they can be compared
     side, down, up = WALL_DEG

@@ -80,7 +80,7 @@ class AskMeter(FromClient):
     """Request the light where rays of sight meet the scene, or a wall 25 m ahead, in a step, null for the newest.
 
     eye_m, through_m: of the world; a ray goes from the eye through each of up to 3,000 points. side: the lamp to which angles, distance and
-    luminous intensity refer, null for all lamps together; angles start at the mean of their modules' places.
+    luminous intensity refer, null for all lamps together; angles start at the origin of the lamp, or midway between those of all.
     """
 
     type: Literal["meter"]

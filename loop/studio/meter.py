@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from luxloop.loop.report.picture import WALL_M
+from luxloop.loop.simulation.build_lamps import T_world_reference
 from luxloop.loop.studio.messages import AskMeter
 from luxloop.loop.studio.runs import Run, matrix
 from luxloop.loop.studio.snapshot import bodies_at
@@ -28,24 +29,22 @@ def readings(run: Run, ask: AskMeter) -> dict[str, Any]:
     shown = run.lit_snapshot(ask.step)
     head, sources = shown.head, run.sources(shown)
     T_world_body = matrix(head["T_world_body"])
-    of_side = [k for k, module in enumerate(run.simulation.modules) if ask.side in (None, module.side)]
-    if not of_side:
+    headlight = run.simulation.scenario.headlight
+    sides = [each for each in headlight.lamps if ask.side in (None, each)]
+    if not sides:
         raise LuxloopError(f"side: this car has no {ask.side} lamp; give the other one, or null for all lamps")
-    lamp = torch.stack([matrix(head["modules"][k]["T_world_module"])[:3, 3] for k in of_side]).mean(0)  # centre of the modules
     eye = torch.tensor(ask.eye_m, dtype=torch.float64)
     rays = torch.tensor(ask.through_m, dtype=torch.float64).T - eye[:, None]  # [3, n]
-    T_lamp_world = inverse(torch.cat([T_world_body[:, :3], torch.cat([lamp, T_world_body[3:, 3]])[:, None]], 1))
+    T_lamp_world = inverse(T_world_body @ T_world_reference(sides, headlight))
     if ask.on == "wall":
-        points, columns = _on_wall(
-            T_lamp_world, WALL_M - float(transform(inverse(T_world_body), lamp[:, None])[0]), eye, rays, [*sources.values()]
-        )
+        points, columns = _on_wall(T_lamp_world, eye, rays, [*sources.values()])
     else:
         points, columns = _on_scene(run, head, eye, rays, [*sources.values()])
     x, y, z = transform(T_lamp_world, points)
     h, v = torch.rad2deg(-torch.atan2(y, x)), torch.rad2deg(torch.atan2(z, torch.hypot(x, y)))
     towards = T_world_body[:3, :3] @ direction(h, v)
     cd = torch.zeros_like(h)
-    for source in (sources[k] for k in of_side if k in sources):
+    for source in (source for k, source in sources.items() if run.simulation.modules[k].side in sides):
         cd += source.headlight.intensity(source.texture, source.T_world_source[:3, :3].T @ towards)
     columns |= {
         "point_m": points.T.tolist(),
@@ -80,15 +79,15 @@ def _on_scene(run: Run, head: dict[str, Any], eye: Tensor, rays: Tensor, sources
     }
 
 
-def _on_wall(T_lamp_world: Tensor, distance_m: float, eye: Tensor, rays: Tensor, sources: Sequence[Source]) -> tuple[Tensor, Columns]:
-    """Points `[3, n]` in the world on a wall that stands across the lamp's axis, and its illuminance; nothing shades it."""
+def _on_wall(T_lamp_world: Tensor, eye: Tensor, rays: Tensor, sources: Sequence[Source]) -> tuple[Tensor, Columns]:
+    """Points `[3, n]` in the world on a wall 25 m ahead, across the lamp's axis, and its illuminance; nothing shades it."""
     T_world_lamp = inverse(T_lamp_world)
     start, way = transform(T_lamp_world, eye[:, None]), T_lamp_world[:3, :3] @ rays
-    share = (distance_m - start[0]) / way[0]
+    share = (WALL_M - start[0]) / way[0]
     there = start + way * share
     x, y, z = there
     h, v = torch.rad2deg(-torch.atan2(y, x)), torch.rad2deg(torch.atan2(z, torch.hypot(x, y)))
-    lx = wall_illuminance(sources, T_world_lamp, h, v, distance_m).tolist()
+    lx = wall_illuminance(sources, T_world_lamp, h, v, WALL_M).tolist()
     return transform(T_world_lamp, there), {
         "surface": ["wall" if each else "" for each in (there.isfinite().all(0) & (share > 0)).tolist()],
         "normal": [(-T_world_lamp[:3, 0]).tolist()] * len(lx),

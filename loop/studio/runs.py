@@ -25,6 +25,7 @@ from luxloop.loop.run import prepare
 from luxloop.loop.scenario.driving import repeat
 from luxloop.loop.scenario.edits import ACTS, Edit, differences, replaces
 from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.simulation.build_lamps import T_world_lamp
 from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.loop.simulation.protocol import close_plant
@@ -311,6 +312,7 @@ class Run:
                 {"name": each.name, **{key.decode(): value.decode() for key, value in (each.metadata or {}).items()}}
                 for each in self.columns
             ],
+            "lamps": {side: T_world_lamp(side, scenario.headlight)[:3, 3].tolist() for side in scenario.headlight.lamps},
             "modules": [self._module(k) for k in range(len(self.simulation.modules))],
             "camera": {**lens, "bits": scenario.camera.bits, "saturation_cd_m2": saturation_luminance(scenario.camera)},
             "ambient_lx": scenario.light.ambient_lx,

@@ -69,6 +69,12 @@ export function download(name: string, content: Blob): void {
   setTimeout(() => URL.revokeObjectURL(href), 1000);
 }
 
+/** Numbers with seven digits, none for NaN. */
+export function csv(names: readonly string[], lines: readonly (string | number)[][]): Blob {
+  const cell = (each: string | number) => (typeof each === "string" ? each : Number.isNaN(each) ? "" : Number(each.toPrecision(7)));
+  return new Blob([[names, ...lines.map((line) => line.map(cell)), ""].join("\n")], { type: "text/csv" });
+}
+
 /** A function that calls another once a frame, however often it is called. */
 export function onceAFrame(draw: () => void): () => void {
   let asked = false;

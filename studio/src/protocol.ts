@@ -51,6 +51,7 @@ export interface Run {
   overrides: string[];
   controllers: Record<string, string>;
   columns: Column[];
+  lamps: Record<string, [number, number, number]>;
   modules: Module[];
   camera: Camera;
   ambient_lx: number;

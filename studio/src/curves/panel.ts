@@ -1,6 +1,6 @@
 // Curves of the columns of all runs, over the last minute or the whole run.
 
-import { h, toggle } from "../dom.ts";
+import { csv, download, h, toggle } from "../dom.ts";
 import { panel } from "../panels.ts";
 import type { Column } from "../protocol.ts";
 import type { Session } from "../session.ts";
@@ -59,8 +59,24 @@ export function curvesPanel(store: Studio, session: Session): HTMLElement {
     span.show(now);
     redraw();
   });
+  const save = h(
+    "button",
+    { title: "Download the columns drawn, of all steps, as CSV", onclick: () => download("curves.csv", all()) },
+    "CSV",
+  );
+  const all = () => {
+    const { runs, scenario } = store.state;
+    const names = [...(chosen ?? defaults(columns))];
+    const lines = runs.flatMap(({ rows }, run) =>
+      Array.from({ length: rows.count }, (_, step) => [
+        ...[run + 1, step, step / (scenario?.rate_hz ?? 1)],
+        ...names.map((name) => rows.at(name, step)),
+      ]),
+    );
+    return csv(["run", "step", "time_s", ...names], lines);
+  };
   const runsKey = h("span", { class: "runs-key muted" });
-  bar.append(runsKey, span.button, list.element);
+  bar.append(runsKey, save, span.button, list.element);
   store.on(["scenario"], ({ scenario }) => {
     const all = (scenario?.runs ?? []).flatMap((run) => run.columns);
     columns = [...new Map(all.map((each) => [each.name, each])).values()];

@@ -5,7 +5,7 @@ import type { Vector } from "../arrays.ts";
 import { download, h, toggle } from "../dom.ts";
 import { putIn } from "../model/entries.ts";
 import type { Reading } from "../protocol.ts";
-import { degrees, matrix } from "../scene/frames.ts";
+import { degrees, matrix, reference } from "../scene/frames.ts";
 import type { ScenesPanel } from "../scenes/panel.ts";
 import type { Session } from "../session.ts";
 import { hasPen, type Studio } from "../state.ts";
@@ -83,13 +83,10 @@ export function measuring(store: Studio, session: Session, scenes: ScenesPanel, 
   /** Light at the angles of the wall's grid, from the chosen lamp or the middle of both. */
   const saveWall = () => {
     const { runs, scenario, rule, side } = store.state;
-    const [shown, modules] = [runs[0]?.shown, scenario?.runs[0].modules];
-    if (!shown || !modules) return;
-    const lit = shown.modules
-      .filter((_, k) => !rule || modules[k]?.side === side)
-      .map(({ T_world_module: T }) => new Vector3(T[3], T[7], T[11]));
-    const lamp = lit.reduce((sum, each) => sum.add(each), new Vector3()).divideScalar(lit.length);
+    const [shown, facts] = [runs[0]?.shown, scenario?.runs[0]];
+    if (!shown || !facts) return;
     const T_world_body = matrix(shown.T_world_body);
+    const lamp = reference(facts, rule ? side : null).applyMatrix4(T_world_body);
     const towards = (h_deg: number, v_deg: number): Vector => {
       const [h, v] = [degrees(h_deg), degrees(v_deg)];
       const ray = new Vector3(Math.cos(v) * Math.cos(h), -Math.cos(v) * Math.sin(h), Math.sin(v));

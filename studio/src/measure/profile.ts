@@ -3,7 +3,7 @@
 import { BufferGeometry, Line, LineBasicMaterial, Matrix4, Vector3 } from "three";
 import uPlot from "uplot";
 import type { Vector } from "../arrays.ts";
-import { download, h, select, signButton } from "../dom.ts";
+import { csv, download, h, select, signButton } from "../dom.ts";
 import type { Reading } from "../protocol.ts";
 import { matrix } from "../scene/frames.ts";
 import type { SceneView } from "../scene/index.ts";
@@ -50,9 +50,9 @@ export class Profile {
       this.#quantity = value as Quantity;
       this.#draw();
     });
-    const csv = h("button", { title: "Download the profile as CSV", onclick: () => this.#save() }, "CSV");
+    const save = h("button", { title: "Download the profile as CSV", onclick: () => this.#save() }, "CSV");
     const close = signButton("close", "Remove the line", () => this.show(null));
-    this.element = h("figure", { class: "profile" }, h("figcaption", {}, "Profile", quantity, csv, close), this.#room);
+    this.element = h("figure", { class: "profile" }, h("figcaption", {}, "Profile", quantity, save, close), this.#room);
     this.element.hidden = true;
     new ResizeObserver(() => this.#draw()).observe(this.#room);
     store.on(["step_version"], () => this.#ask());
@@ -157,10 +157,9 @@ const COLUMNS = ["surface", "x_m", "y_m", "z_m", "h_deg", "v_deg", "distance_m",
 
 /** Readings as lines of a CSV file, behind their places along a line. */
 export function csvOf(readings: readonly Reading[], along?: { name: string; places: readonly number[] }): Blob {
-  const lines = readings.map(({ surface, ground_m, h_deg, v_deg, distance_m, lx, vertical_lx, cd_m2, cd }, k) =>
-    [...(along ? [along.places[k]!] : []), surface, ...ground_m, h_deg, v_deg, distance_m, lx, vertical_lx, cd_m2 ?? "", cd]
-      .map((each) => (typeof each === "number" ? Number(each.toPrecision(7)) : each))
-      .join(","),
-  );
-  return new Blob([[[...(along ? [along.name] : []), ...COLUMNS].join(","), ...lines, ""].join("\n")], { type: "text/csv" });
+  const lines = readings.map(({ surface, ground_m, h_deg, v_deg, distance_m, lx, vertical_lx, cd_m2, cd }, k) => [
+    ...(along ? [along.places[k]!] : []),
+    ...[surface, ...ground_m, h_deg, v_deg, distance_m, lx, vertical_lx, cd_m2 ?? "", cd],
+  ]);
+  return csv([...(along ? [along.name] : []), ...COLUMNS], lines);
 }

@@ -2,6 +2,7 @@
 
 import { Matrix4, Vector3 } from "three";
 import type { Matrix4x4, Vector } from "../arrays.ts";
+import type { Run } from "../protocol.ts";
 
 /** From x forward, y left, z up to the axes of an OpenGL camera: x right, y up, z backward. */
 export const OPENGL_FROM_ISO = new Matrix4().set(0, -1, 0, 0, 0, 0, 1, 0, -1, 0, 0, 0, 0, 0, 0, 1);
@@ -9,6 +10,12 @@ export const ISO_FROM_OPENGL = OPENGL_FROM_ISO.clone().transpose();
 
 export function degrees(angle: number): number {
   return (angle * Math.PI) / 180;
+}
+
+/** Where angles count from, in the frame of the body: the origin of a side's lamp, null: midway between those of all. */
+export function reference({ lamps }: Run, side: "left" | "right" | null): Vector3 {
+  const origins = Object.entries(lamps).flatMap(([each, origin]) => (each === (side ?? each) ? [new Vector3(...origin)] : []));
+  return origins.reduce((sum, each) => sum.add(each), new Vector3()).divideScalar(origins.length || 1);
 }
 
 export function matrix(rows: Matrix4x4): Matrix4 {

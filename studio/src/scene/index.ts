@@ -5,7 +5,7 @@ import type { Arrays, Matrix4x4, Vector } from "../arrays.ts";
 import type { BeamPoint, MeshesMessage, Run, StepMessage } from "../protocol.ts";
 import { Bodies } from "./bodies.ts";
 import { Fog } from "./fog.ts";
-import { LocalFrame } from "./frames.ts";
+import { LocalFrame, reference } from "./frames.ts";
 import { IsoluxNumbers } from "./isolux.ts";
 import { type Label, Labels } from "./labels.ts";
 import { Legend } from "./legend.ts";
@@ -85,7 +85,7 @@ export class SceneView {
     this.fog = new Fog(this.renderer, this.uniforms);
     this.scene.add(this.bodies.group, this.wall.group, this.markers.group, this.fog.sky, this.overlay);
     this.isolux = new IsoluxNumbers(this.renderer, this.uniforms);
-    this.labels = new Labels(container);
+    this.labels = new Labels(container, this.canvas);
     this.legend = new Legend(container);
     this.viewpoints = new Viewpoints(this.canvas, () => this.changed());
     this.viewpoints.onFrame = () => this.relabel();
@@ -313,7 +313,7 @@ export class SceneView {
     const T_local_ground = frame.pose(step.T_world_ground);
     const T_local_module = step.modules.map((module) => frame.pose(module.T_world_module));
     const centres = T_local_module.map((T) => new Vector3().setFromMatrixPosition(T));
-    this.viewpoints.follow({ T_local_ground, T_local_body, lamp_height_m: this.lampOf(null).z });
+    this.viewpoints.follow({ T_local_ground, T_local_body, lamp_height_m: reference(run, null).z });
     this.wall.place(T_local_body);
     this.uniforms.ground_up.value.setFromMatrixColumn(T_local_ground, 2);
     this.relabel();
@@ -327,16 +327,6 @@ export class SceneView {
       this.shadows.place(run.modules.slice(0, count), T_local_body, T_local_module.slice(0, count));
     }
     this.placeOtherLamps(step, run);
-  }
-
-  /** Position in the frame of the body of a side's lamp, or of the middle of all. */
-  private lampOf(side: "left" | "right" | null): Vector3 {
-    const { run, step, frame } = this;
-    const mean = new Vector3();
-    const T_body_local = step ? frame.pose(step.T_world_body).invert() : new Matrix4();
-    const modules = step && run ? step.modules.filter((_, k) => !side || run.modules[k]?.side === side) : [];
-    for (const { T_world_module } of modules) mean.add(new Vector3().setFromMatrixPosition(frame.pose(T_world_module)));
-    return modules.length ? mean.divideScalar(modules.length).applyMatrix4(T_body_local) : new Vector3(0, 0, 0.65);
   }
 
   private placeOtherLamps(step: StepMessage, run: Run): void {
@@ -364,10 +354,11 @@ export class SceneView {
   }
 
   private relabel(): void {
-    const wall = this.viewpoints.viewpoint === "wall";
-    const { onWall } = this.viewpoints;
-    if (wall) this.wall.lookFrom(this.lampOf(this.beamSide), onWall.right - onWall.left);
-    this.labels.set("wall", wall ? this.wall.labels(onWall, this.lampOf(null).z) : []);
+    const { run } = this;
+    const { onWall, viewpoint } = this.viewpoints;
+    const wall = viewpoint === "wall";
+    if (run && wall) this.wall.lookFrom(reference(run, this.beamSide), onWall.right - onWall.left);
+    this.labels.set("wall", run && wall ? this.wall.labels(onWall, reference(run, null).z) : []);
   }
 
   /** Uniforms of the modules that shine, and their shadow maps. */

@@ -1,4 +1,4 @@
-// Short texts and marks at points of the scene, as HTML, so that they stay sharp and can be read aloud and selected.
+// Short texts and marks at points of the scene, as HTML, so that they stay sharp and can be read aloud.
 
 import { type Camera, Vector3 } from "three";
 
@@ -35,15 +35,23 @@ export class Labels {
   private readonly layer = document.createElement("div");
   private readonly owners = new Map<string, Drawn[]>();
 
-  constructor(container: HTMLElement) {
+  /** canvas: gets what the pointer does on a label. */
+  constructor(container: HTMLElement, canvas: HTMLElement) {
     this.layer.className = "scene-labels";
     Object.assign(this.layer.style, {
       position: "absolute",
       inset: "0",
       overflow: "hidden",
       pointerEvents: "none",
+      userSelect: "none",
       font: "11px/1 system-ui, sans-serif",
     });
+    for (const type of ["pointerdown", "pointermove", "wheel", "dblclick"]) {
+      this.layer.addEventListener(type, (event) => {
+        event.stopPropagation();
+        canvas.dispatchEvent(new (event.constructor as typeof Event)(type, event));
+      });
+    }
     container.append(this.layer);
   }
 

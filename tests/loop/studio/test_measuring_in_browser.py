@@ -9,6 +9,7 @@ import pytest
 import torch
 from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
 from selenium.webdriver.common.keys import Keys
 
 from luxloop.loop.studio.page import PAGE
@@ -142,6 +143,20 @@ def test_the_wheel_zooms_the_wall_at_the_cursor_and_labels_never_overlap(page):
     page.execute_script("luxloop.store.set({ rule: '' })")
 
 
+def test_a_drag_that_begins_on_a_label_moves_the_wall_and_selects_no_text(page):
+    page.execute_script("luxloop.store.set({ viewpoint: 'wall', rule: 'r149-driving-a' })")
+    label = until(page, "return [...document.querySelectorAll('.scene-labels [title]')].find((each) => each.innerText.includes('H-V'))")
+    ActionChains(page).scroll_from_origin(ScrollOrigin.from_element(label), 0, -120).perform()  # nearer, so that there is room to move
+    place = "luxloop.scenes[0].renderNow(); return luxloop.scenes[0].pick(5, 5)[1]"
+    before = page.execute_script(place)
+    label = until(page, "return [...document.querySelectorAll('.scene-labels [title]')].find((each) => each.innerText.includes('H-V'))")
+    ActionChains(page).move_to_element(label).click_and_hold().move_by_offset(20, 0).move_by_offset(20, 0).release().perform()
+    assert page.execute_script(place) > before + 0.1  # m to the left
+    assert page.execute_script("return getSelection().toString()") == ""
+    page.execute_script("arguments[0].dispatchEvent(new MouseEvent('dblclick'))", one(page, ".scene canvas"))
+    page.execute_script("luxloop.store.set({ rule: '', viewpoint: 'orbit' })")
+
+
 @pytest.mark.parametrize("viewpoint", ["above", "orbit", "wall"])
 def test_numbers_of_isolux_lines_agree_with_the_figures_there(page, viewpoint):
     page.execute_script(f"luxloop.store.set({{ viewpoint: '{viewpoint}', isolux: true, rule: '' }}); luxloop.scenes[0].renderNow()")
@@ -245,6 +260,14 @@ def test_a_click_keeps_a_probe_with_the_light_that_the_cursor_told(page, served)
     )
     assert float(text.split()[1]) == pytest.approx(told["probe"], rel=6e-3)  # three digits
     until(page, "return [...document.querySelectorAll('.chart h3')].some((e) => e.innerText.startsWith('Illuminance on probes'))")
+    page.execute_script(
+        "URL.createObjectURL = (blob) => { blob.text().then((text) => { window.curves = text; }); return '#'; };"
+        "[...document.querySelectorAll('.curves button')].find((each) => each.innerText === 'CSV').click()"
+    )
+    saved = [*csv.DictReader(until(page, "return window.curves").splitlines())]
+    assert [float(each["time_s"]) for each in saved] == [0, pytest.approx(1 / served.scenario.rate_hz)]
+    assert [float(saved[1][f"probes.{name}.lx"]) for name in ("probe", "probe_2")] == pytest.approx(values)
+    assert saved[0]["probes.probe.lx"] == ""  # before it was kept
     page.execute_script("luxloop.store.set({ aim: null })")
     for left in (1, 0):
         press(page, Keys.CONTROL, "z")

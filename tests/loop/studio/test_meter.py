@@ -1,6 +1,7 @@
 """Light that clients measure under a cursor: what `world`, probes and a beam's check say of the same place."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,12 +9,14 @@ import pytest
 import torch
 
 from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.report.measure import towards
 from luxloop.loop.scenario.probes import ProbeParams
 from luxloop.loop.simulation.probes import illuminance_at
 from luxloop.loop.studio.runs import matrix
 from luxloop.loop.studio.sources import Source
 from luxloop.world.frames import inverse, transform
 from luxloop.world.headlight.lamp import direction
+from luxloop.world.lamps.description import load_lamp
 from luxloop.world.light.emitters import wall_illuminance
 from tests.loop.studio.clients import Watcher, watching
 from tests.loop.studio.conftest import SMALL, Served, serving
@@ -103,10 +106,29 @@ def test_angles_and_intensities_are_those_of_photometry(served, watcher, side):
     assert column(readings, "cd") == pytest.approx(cd.numpy(), rel=SINGLE)
 
 
+def test_light_on_the_wall_is_that_of_the_command_measure_whose_angles_start_at_the_mount(page_folder):
+    values = ("headlight.model=ssl-hd", "headlight.lamps=['left']", "lighting.base.beam=full", "functions={}", "checks={}")
+    for served in serving(Source("gfhb", (*SMALL, *values)), page_folder):
+        with watching(served.port, served.tokens.watch) as watcher:
+            head, _ = watcher.of("step", step=0)
+            lamp, T_world_body = load_lamp("ssl-hd", "left"), matrix(head["T_world_body"])
+            centres = torch.stack([each.T_lamp_module[:3, 3] for each in lamp.modules])
+            assert centres.norm(dim=1).max() > 0.02  # m, of modules beside the mount
+            h_v = torch.tensor([[-8.0, 0.0, 2.5, 6.0], [-1.0, 0.3, -0.57, 1.2]], dtype=torch.float64)
+            expected = towards(replace(lamp, beams={"shown": served.run.snapshots[0].lights}), "shown", h_v)
+            origin = transform(T_world_body, torch.tensor([[0.0], [0.6], [0.75]], dtype=torch.float64))
+            through = origin + T_world_body[:3, :3] @ direction(*h_v)
+            readings = measured(watcher, origin[:, 0].tolist(), through.T.tolist(), on="wall", side="left")
+            for key in ("h_deg", "v_deg"):
+                assert column(readings, key) == pytest.approx(expected[key].numpy(), abs=1e-4)  # poses have six digits
+            for key in ("cd", "lx"):
+                assert expected[key].max() > 1 and column(readings, key) == pytest.approx(expected[key].numpy(), rel=1e-3)  # of 1e-4 deg
+
+
 def test_a_ray_into_the_sky_has_no_reading_and_a_step_without_light_says_so(served, watcher, monkeypatch):
     assert measured(watcher, [0, 0, 1.2], [[1, 0, 2.0], [10, 0, 0]])[0] is None
     snapshot = served.run.snapshots[0]
-    monkeypatch.setattr(served.run, "snapshots", [type(snapshot)(snapshot.step, snapshot.plain, (), {})])
+    monkeypatch.setattr(served.run, "snapshots", [replace(snapshot, lights=(), pictures={})])
     watcher.say("meter", eye_m=[0, 0, 1.2], through_m=[[10, 0, 0]])
     assert "no longer kept" in watcher.of("error", about="meter")[0]["text"]
 
