@@ -15,6 +15,7 @@ from luxloop.loop.simulation.light_figures import quantities
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.metrics import Metrics
 from luxloop.world.errors import LuxloopError, did_you_mean, locate
+from luxloop.world.regulation import beam_rules
 
 # by the last part of a column's name; all other columns are float64
 TYPES = {
@@ -101,6 +102,7 @@ EYE = {
     "veil_cd_m2": ("cd/m^2", "veiling luminance by the lamps in an eye at this probe, for the age video.age_years (CIE 146)"),
     "ti_percent": ("%", "threshold increment of that eye, 65 veil / adaptation^0.8"),
 }
+RULE = ("1", "number of this rule's requirements that the undimmed base beam fails, the larger one of both lamps")
 NAN = torch.tensor(torch.nan)
 NO_METRICS = Metrics(NAN.expand(2), NAN, NAN, NAN, NAN)
 LOOKED_AT = {
@@ -124,6 +126,7 @@ def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
     observed = any(getattr(function, "observer", None) for function in simulation.scenario.functions.values())
     columns = STEP | (CONTROL if held else {}) | (OBSERVED if observed else {})
     columns |= {f"lamp.{side}.{key}": of for side in sides for key, of in (LAMP | (LAMP_PEAK if held else {})).items()}
+    columns |= {f"rules.{rule}": RULE for rule in simulation.scenario.rules}
     columns |= LEARNING if looks or simulation.planner.learns else {}
     if looks:
         looking = LOOKING | (EYES_PEAK if held else {})
@@ -182,6 +185,7 @@ def row(result: Evaluation) -> dict[str, Any]:
         values |= {f"functions.{name}.{key}": getattr(seen, key) for key in PROJECTION}
     for (name, _), command in zip(result.now.lights, result.now.commands, strict=False):  # no commands where all modules are at rest
         values |= {f"modules.{name}.{key}": getattr(command, key) for key in MODULE}
+    values |= {f"rules.{rule}": number for rule, number in result.rules.items()}
     values |= {f"probes.{name}.lx": lx for name, lx in result.probes.items()}
     for name, glare in result.glare.items():
         values |= {f"probes.{name}.{key}": getattr(glare, key) for key in EYE}
@@ -239,6 +243,7 @@ def refuse_unknown_columns(simulation: Simulation) -> None:
                     raise LuxloopError(
                         f'{where} is recorded with a [detector] alone; give one, kind = "truth" say, which knows all objects'
                     )
+                known += [f"rules.{rule}" for rule in beam_rules()]
                 hint = did_you_mean(check.metric, known, _alternatives(check.metric, known))
                 raise LuxloopError(f"{where} is not a numeric column of the recording; {hint}")
             if check.compare is not None and check.metric not in compared:

@@ -31,6 +31,7 @@ from luxloop.world.errors import LuxloopError, did_you_mean, locate
 from luxloop.world.materials.library import RoadSurfaceParams, SpotParams
 from luxloop.world.params import NotNegative, Params, PlainName, Seed
 from luxloop.world.plugin import PATTERN, Name, colon_remedy, refuse_code
+from luxloop.world.regulation import beam_rules
 from luxloop.world.roads.shapes import Flat, RoadParams
 from luxloop.world.scene.scene import StreetLamp
 from luxloop.world.scene.vehicle import VehicleParams
@@ -215,6 +216,11 @@ class Scenario(Params):
         """The symbols on the road that `judge_projections` evaluates, by name: all but pictures for an observer."""
         functions = self.functions.items() if self.judge_projections else ()
         return {name: each for name, each in functions if isinstance(each, SymbolFunctionParams) and each.observer is None}
+
+    @property
+    def rules(self) -> tuple[str, ...]:
+        """Rules of beams that checks name."""
+        return tuple(rule for rule in beam_rules() if any(check.metric == f"rules.{rule}" for check in self.checks.values()))
 
     @property
     def symbol(self) -> SymbolFunctionParams:

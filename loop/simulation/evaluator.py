@@ -11,7 +11,7 @@ from functools import cached_property, partial
 import torch
 from torch import Tensor
 
-from luxloop.controllers.functions.planner import Planner
+from luxloop.controllers.functions.planner import Plan, Planner
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.situation import Situation
 from luxloop.controllers.symbol.sensing.field import cut
@@ -112,7 +112,7 @@ class Evaluation(StepResult):
     symbols by name. zones, materials: by name. road_lx_ratio_max: see `over_setpoint`, None in a step without evaluation. oncoming_s:
     start times, by name, of near oncoming road users. probes: illuminance in lx by name, a mean over the exposures. glare: by name of a
     probe that is an eye. projections: symbols on the road as the driver sees them, by name; none in a step without evaluation, or without
-    `judge_projections`.
+    `judge_projections`. rules: number of requirements that the base beam fails, by rule that a check names.
     """
 
     masked: frozenset[str]
@@ -129,6 +129,7 @@ class Evaluation(StepResult):
     probes: Mapping[str, float]
     glare: Mapping[str, Glare]
     projections: Mapping[str, ProjectionMetrics]
+    rules: Mapping[str, int]
 
     @property
     def symbol(self) -> SymbolStep:
@@ -204,11 +205,18 @@ class Evaluator:
             probes=self._probes(result),
             glare=self._glare(result),
             projections=self._projections(result) if due else {},
+            rules=self._rules(result.plan, before),
         )
         clock.lap("look")
         return replace(
             evaluation, timings={key: result.timings.get(key, 0.0) + clock.ms.get(key, 0.0) for key in {**result.timings, **clock.ms}}
         )
+
+    def _rules(self, plan: Plan, before: Evaluation | None) -> Mapping[str, int]:
+        same = before is not None and not self.scenario.lighting.raw and replace(before.plan.base, share=plan.base.share) == plan.base
+        if before is not None and same and before.rules.keys() == set(self.scenario.rules):
+            return before.rules
+        return {rule: self.lamps.failures(plan, rule) for rule in self.scenario.rules}
 
     def _probes(self, result: StepResult) -> Mapping[str, float]:
         if (world := self.world) is None or not self.scenario.probes:

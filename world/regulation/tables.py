@@ -76,6 +76,11 @@ def sets() -> dict[str, RuleSet]:
     return {name: RuleSet(id=name, **content) for table in tables for name, content in table.items()}
 
 
+def beam_rules() -> tuple[str, ...]:
+    """Ids of the sets for beams."""
+    return tuple(name for name, each in sets().items() if each.beam != "projection")
+
+
 def rule_set(set_id: str) -> RuleSet:
     """The set of this id, whatever its case. Raises LuxloopError that names those that have the word in them, or the nearest one."""
     wanted = set_id.lower().replace("_", "-").replace(" ", "-")

@@ -8,13 +8,14 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from luxloop import Simulation, load, run, validate
+from luxloop import Simulation, load, load_lamp, run, validate
 from luxloop.loop.recording.checks import Checks, lines, outcome, ratio
 from luxloop.loop.recording.manifest import table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.run import check
 from luxloop.loop.scenario.checks import CheckParams
 from luxloop.loop.scenario.shipped import scenario_files
+from luxloop.world.regulation import check_beam
 from tests.loop.conftest import SMALL, toml
 from tests.refusal import sentence
 
@@ -133,6 +134,7 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str, str]] = {
     "a symbol in full light": (SMALL, {"metric": IOU, "at_least": 0.0, "compare": "full_light"}, "checks.it.metric: ", "leave compare out"),
     "no symbol": (LIT, FLUX | {"compare": "open_loop"}, "checks.it.compare: ", "full_light or low_beam"),
     "unknown object": (LIT, {"metric": "objects.walkr.lx_max", "at_most": 1.0}, "checks.it.metric: ", "'objects.walker.lx_max'"),
+    "unknown rule": (LIT, {"metric": "rules.r149-pasing-c", "at_most": 0}, "checks.it.metric: ", "'rules.r149-passing-c'"),
     "no detector": (LIT, {"metric": "oncoming_lx_max", "at_most": 1.0}, "checks.it.metric: ", "[detector]"),
 }
 
@@ -175,6 +177,18 @@ def test_a_run_is_compared_with_full_light_in_the_same_world(tmp_path):
     assert car["compared_value"] == alone.summary["objects"]["car"]["lx_max"] and car["passed"]
     assert json.loads((tmp_path / "summary.json").read_text())["checks"] == summary["checks"]
     assert list(run(scenario, tmp_path, device="cpu", video=False, report=False).summary["checks"]) == ["dark"]
+
+
+@pytest.mark.parametrize("level_deg", [0.0, 1.5])
+def test_a_rule_judges_the_base_beam_as_the_lamps_are_mounted(level_deg):
+    legal = {"metric": "rules.r149-passing-c", "take": "max", "at_most": 0}
+    lighting = {"lighting": {"base": {"beam": "low"}}, "headlight": LIT["headlight"] | {"level_deg": level_deg}}
+    scenario = validate(with_checks(LIT, low=legal) | lighting, "here")
+    got = run(scenario, device="cpu", video=False, report=False).summary["checks"]["low"]
+    lamp = load_lamp("ssl-hd-lores")
+    results = check_beam(lamp.lit(lamp.beam("low")), "r149-passing-c", aim=(0.0, -level_deg))
+    assert got["value"] == sum(each.verdict == "fail" for each in results)
+    assert got["passed"] is (level_deg == 0)
 
 
 @pytest.mark.slow
