@@ -208,10 +208,13 @@ def _detector_in_words(facts: dict[str, Any]) -> str:
 
 
 def torch_device(name: str) -> torch.device:
-    """The device of a name; "auto" prefers CUDA. Raises LuxloopError for a missing CUDA device."""
+    """The device of a name; "auto" prefers CUDA. Raises LuxloopError for a missing CUDA device, or another name."""
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    device = torch.device(name)
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise LuxloopError(f"device {name}: there is no such device; give auto, cpu, or cuda") from None
     if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
         raise LuxloopError(
             f"device {name}: torch {torch.__version__} finds no such CUDA device here; give the device cpu, or see `luxloop doctor`"

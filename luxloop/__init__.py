@@ -17,6 +17,10 @@ _attribute, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from luxloop.world.files import installed_version
+
+        return installed_version()
     if name in __all__:
         return _attribute(name)
     from luxloop.world.errors import did_you_mean

@@ -14,6 +14,8 @@ from .controllers.symbol.sensing.projection import ProjectionCommand as Projecti
 from .controllers.symbol.sensing.protocol import Observation as Observation
 from .controllers.symbol.sensing.protocol import SymbolController as SymbolController
 from .controllers.symbol.sensing.symbol_sensor import SymbolSensor as SymbolSensor
+from .loop.recording.replay import compare as compare
+from .loop.recording.replay import replay as replay
 from .loop.report.headlight import show_headlight as show_headlight
 from .loop.rig.camera import CameraPicture as CameraPicture
 from .loop.run import RunResult as RunResult
@@ -35,6 +37,7 @@ from .loop.studies.contracts.function import check_function as check_function
 from .loop.studies.contracts.plant import check_plant as check_plant
 from .loop.studies.contracts.tracker import check_tracker as check_tracker
 from .loop.studies.environment.make import make as make
+from .loop.studies.environment.make import make_sb3 as make_sb3
 from .loop.studies.environment.make import make_vec as make_vec
 from .loop.studies.environment.randomised import Randomised as Randomised
 from .loop.studies.environment.randomised import RandomisedVector as RandomisedVector

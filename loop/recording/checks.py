@@ -36,10 +36,11 @@ class Checks:
 
 def outcome(check: CheckParams, table: pa.Table, beside: Mapping[Baseline, Sequence[Summary]]) -> Summary:
     """Outcome of a check. beside: rows of the baselines' runs, one a step."""
-    times_s, values, other = column(table, "time_s"), column(table, check.metric), None
+    amount = np.abs if check.absolute else np.asarray
+    times_s, values, other = column(table, "time_s"), amount(column(table, check.metric)), None
     value = held = _value(check, times_s, values)
     if check.compare is not None:
-        others = np.array([row[check.metric] for row in beside[check.compare]], dtype=np.float64)
+        others = amount(np.array([row[check.metric] for row in beside[check.compare]], dtype=np.float64))
         other = _value(check, times_s, others)
         if check.by == "ratio":
             held = ratio(value, other)
@@ -47,7 +48,7 @@ def outcome(check: CheckParams, table: pa.Table, beside: Mapping[Baseline, Seque
             held = _value(check, times_s, values - others if check.by == "difference" else np.where(others > 0, values > 0, math.nan))
     by = dict.fromkeys(get_args(By))
     return {
-        **check.model_dump(include={"metric", "from_s", "until_s", "take", "over_s", "compare", "at_least", "at_most"}),
+        **check.model_dump(include={"metric", "from_s", "until_s", "take", "absolute", "over_s", "compare", "at_least", "at_most"}),
         "run_until_s": float(times_s[-1]) if len(times_s) else None,
         "unit": table.schema.field(check.metric).metadata[b"unit"].decode(),
         "value": value,
@@ -82,7 +83,8 @@ def lines(summary: Summary) -> dict[str, str]:
 def _line(outcome: Summary) -> str:
     unit = "" if outcome["unit"] in ("", "1") else f" {outcome['unit']}"
     over = "" if outcome["over_s"] is None else f" over {outcome['over_s']:g} s"
-    parts = [f"{outcome['take']} {outcome['metric']}{over}"]
+    metric = f"|{outcome['metric']}|" if outcome["absolute"] else outcome["metric"]
+    parts = [f"{outcome['take']} {metric}{over}"]
     ends_s, why = outcome["run_until_s"], list[str]()
     if ends_s is not None and outcome["from_s"] > ends_s + ROUNDING_S:
         why = [f"begins at {outcome['from_s']:g} s, the run ends at {ends_s:.4g} s (raise steps)"]

@@ -70,7 +70,9 @@ def tolerances(what: FeatureParams) -> dict[str, tuple[float, str]]:
     return {**TOLERANCES, **features, **dict.fromkeys(CENTROIDS, centroid)}
 
 
-def compare(recorded: pa.Table, replayed: pa.Table, held: Mapping[str, FeatureParams], *, exact: bool = False) -> tuple[Difference, ...]:
+def differences(
+    recorded: pa.Table, replayed: pa.Table, held: Mapping[str, FeatureParams], *, exact: bool = False
+) -> tuple[Difference, ...]:
     """Columns out of tolerance, in the order of the file; texts, and columns of zeros, must be equal.
 
     held: features of each symbol under control, by name. Both tables have the columns of `replayed`; different numbers of steps are a

@@ -13,7 +13,7 @@ from pydantic import BaseModel, TypeAdapter
 from torch import Tensor
 
 from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
-from luxloop.loop.recording.comparison import Comparison, compare
+from luxloop.loop.recording.comparison import Comparison, differences
 from luxloop.loop.recording.manifest import EDITS, MANIFEST, TRAJECTORY, Manifest, table_of
 from luxloop.loop.recording.record import refuse_unknown_columns, row, schema
 from luxloop.loop.scenario.driving import repeat
@@ -160,17 +160,18 @@ def rerun(recording: Recording, simulation: Simulation) -> Iterator[tuple[Simula
 
 
 def replay(
-    directory: Path,
+    directory: Path | str,
     device: torch.device | str | None = None,
     on_step: Callable[[Evaluation], None] = lambda result: None,
     *,
     allow_code: bool = False,
 ) -> Comparison:
-    """Run a recording again with its edits, and compare the steps.
+    """Run the recording in a directory again with its edits, and compare the steps.
 
     device: by default the recording's, or the CPU where there is no such device. on_step: called after every step. allow_code: whether
     modules that the manifest or edits name may run. Raises LuxloopError where the recording is damaged or an input file is missing.
     """
+    directory = Path(directory)
     recording = load_to_rerun(directory, allow_code)
     manifest, scenario = recording.manifest, recording.scenario
     here = "cuda" if manifest.device.startswith("cuda") and torch.cuda.is_available() else "cpu"
@@ -187,7 +188,18 @@ def replay(
         rows.append({name: value for name, value in row(result).items() if name in known})
         on_step(result)
     recorded = columns_of(recording.table, columns, directory / TRAJECTORY)
-    return Comparison(len(rows), compare(recorded, table_of(rows, columns), features), tuple(notes))
+    return Comparison(len(rows), differences(recorded, table_of(rows, columns), features), tuple(notes))
+
+
+def compare(first: Path | str, second: Path | str) -> Comparison:
+    """Compare two recordings of scenarios with the same columns, without running them: differences of the second from the first.
+
+    Raises LuxloopError where a recording is damaged, or a column of the second is missing in the first.
+    """
+    a, b = (load(Path(each)) for each in (first, second))
+    features = {name: each.features for name, each in a.scenario.symbols.items()}
+    here = columns_of(a.table, b.table.schema, Path(first) / TRAJECTORY)
+    return Comparison(a.table.num_rows, differences(here, b.table, features), tuple(a.manifest.changes(b.manifest)))
 
 
 def columns_of(table: pa.Table, columns: pa.Schema, file: Path) -> pa.Table:

@@ -23,6 +23,7 @@ class CheckParams(Params):
     take: Literal["mean", "min", "max", "last", "p50", "p90", "p99"] = Field(
         "mean", description="statistic of the values in the window; `p99`: the least value that 99 % of them do not exceed"
     )
+    absolute: bool = Field(False, description="whether to take the statistic of the values' absolute amounts, as of signed errors")
     over_s: float | None = Field(
         None, gt=0, le=1e6, description="take the statistic of moving means over this time; left out: of the values themselves"
     )

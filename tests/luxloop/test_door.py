@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,10 @@ def test_unknown_name_gives_the_nearest():
     with pytest.raises(AttributeError, match=r"no attribute 'simulation'; did you mean 'Simulation'\?"):
         _ = luxloop.simulation
     assert not hasattr(luxloop, "torch")
+
+
+def test_the_version_is_that_of_the_package():
+    assert luxloop.__version__ == metadata.version("luxloop")
 
 
 def test_a_run_shows_its_report(tmp_path, monkeypatch):

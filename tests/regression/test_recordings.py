@@ -18,7 +18,7 @@ import pytest
 import torch
 
 from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
-from luxloop.loop.recording.comparison import compare
+from luxloop.loop.recording.comparison import differences
 from luxloop.loop.recording.manifest import table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.scenario import data
@@ -133,7 +133,7 @@ def test_scenario_runs_as_recorded(name, re_record, capsys):
     kept = pq.read_table(file) if file.is_file() else None
     if re_record:
         same = kept is not None and kept.column_names == now.column_names
-        news = None if kept is None else told(compare(kept, now, held(name), exact=True)) if same else "  has other columns"
+        news = None if kept is None else told(differences(kept, now, held(name), exact=True)) if same else "  has other columns"
         with capsys.disabled():
             print(replace(name, now, news))
         return
@@ -147,9 +147,9 @@ def compared(name: str, now: pa.Table) -> None:
     assert file.is_file(), f"never recorded: pytest -m slow tests/regression --re-record -k {name}"
     kept = pq.read_table(file)
     assert kept.column_names == now.column_names and kept.num_rows >= now.num_rows > 0
-    differences = compare(kept.slice(0, now.num_rows), now, held(name))
+    apart = differences(kept.slice(0, now.num_rows), now, held(name))
     remedy = "if that is meant, pytest -m slow tests/regression --re-record"
-    assert not differences, f"{name} runs differently; {remedy}\n{told(differences)}"
+    assert not apart, f"{name} runs differently; {remedy}\n{told(apart)}"
 
 
 def test_a_change_of_the_light_is_told():
@@ -157,7 +157,7 @@ def test_a_change_of_the_light_is_told():
     name = "objects.oncoming_car.lx_max"
     assert max(now["dark_lx_max"].to_pylist()) == 0.0  # the masks of the scenario keep all light off
     leak = now.set_column(now.column_names.index(name), name, pa.array([0.0, 1e-6, 0.0, 0.0]))
-    (difference,) = compare(now, leak, {})
+    (difference,) = differences(now, leak, {})
     assert (difference.column, difference.first_step) == (name, 1)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -33,7 +34,8 @@ class ProjectionCommand:
     pose: `[..., 4]` = x, y in m, roll, pitch in rad, in the body frame. z: `[...]` m, height of the centre above the assumed road; None: 0.
     warp: warp of the symbol; None: undistorted. raw: utilisations `[n_p]`, one a module, instead of a symbol; None: a symbol. shape: `[4]`,
     road shape (`luxloop.controllers.symbol.sensing.road_shape`) on which the eye sees the image that pose and warp give on z = 0; None: z =
-    0. aim: `[2]`, x and y in m of the symbol if its target cannot be lit; None: at the target.
+    0. aim: `[2]`, x and y in m of the symbol if its target cannot be lit; None: at the target. data: anything that the controller wants
+    back with the frames that show this command, as `observation.shown.projection.data`.
     """
 
     pose: Tensor
@@ -42,6 +44,7 @@ class ProjectionCommand:
     raw: tuple[Tensor, ...] | None = None
     shape: Tensor | None = None
     aim: Tensor | None = None
+    data: Any = None
 
     def shows(self, other: "ProjectionCommand") -> bool:
         """Whether another command has equal values; after a restart equal commands are different objects."""

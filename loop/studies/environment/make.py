@@ -1,7 +1,7 @@
 """Functions that make environments, `make` and `make_vec`, and registration of the shipped single-symbol scenarios with Gymnasium."""
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -10,7 +10,9 @@ from luxloop.loop.scenario.shipped import scenario_files
 from luxloop.world.errors import LuxloopError
 
 if TYPE_CHECKING:
+    from luxloop.loop.studies.environment.randomised import RandomisedVector
     from luxloop.loop.studies.environment.single import SymbolEnv
+    from luxloop.loop.studies.environment.stable_baselines import SymbolVecEnv
     from luxloop.loop.studies.environment.vector import SymbolVectorEnv
 
 IDS: Mapping[str, str] = {"": "moves", "Gains": "gains", "Heights": "heights"}
@@ -58,6 +60,20 @@ def make_vec(
     from luxloop.loop.studies.environment.vector import SymbolVectorEnv
 
     return SymbolVectorEnv(scenario, num_envs, overrides, action=action, image=image, autoreset_mode=autoreset_mode, device=device)
+
+
+def make_sb3(copies: "SymbolVectorEnv | RandomisedVector", starts: tuple[Sequence[float], Sequence[float]] | None = None) -> "SymbolVecEnv":
+    """`VecEnv` for the algorithms of Stable-Baselines3.
+
+    copies: of `make_vec` with autoreset_mode="Disabled", or a `RandomisedVector` of them, which draws values for each of its episodes.
+    starts: least and greatest start pose (x, y in m, roll, pitch in rad), between which each copy's is drawn; by default the scenario's
+    start. Raises LuxloopError if Stable-Baselines3 is missing, or for another autoreset mode.
+    """
+    try:
+        from luxloop.loop.studies.environment.stable_baselines import SymbolVecEnv
+    except ImportError as error:
+        raise LuxloopError("make_sb3: needs Stable-Baselines3, which is not installed; get it with pip install 'luxloop[sb3]'") from error
+    return SymbolVecEnv(copies, starts)
 
 
 def _needs_gymnasium() -> None:

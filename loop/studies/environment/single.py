@@ -23,7 +23,8 @@ from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.result import SimulationState
 from luxloop.loop.simulation.simulated import world_plant
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studies.environment.acting import ACTIONS, Acting
+from luxloop.loop.studies.environment.acting import ACTIONS, Acting, Heights
+from luxloop.perception.appearance import DEGREES
 from luxloop.perception.egomotion import Ego
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.perception.metrics import Metrics
@@ -35,6 +36,7 @@ ERRORS = (20.0, 10.0, 0.5, 0.5)  # m, m, rad, rad: limits of observed errors
 AREA = 4.0
 MOTION = (100.0, 3.0)  # m/s, rad/s
 CENTROID_WEIGHT, ACTION_WEIGHT = 0.5, 0.01
+SUCCESS = 0.05  # distance of the centroids relative to the symbol's size, up to which a symbol is at its target
 
 
 def action_of(given: Any, shape: tuple[int, ...]) -> Tensor:
@@ -51,12 +53,17 @@ def reward_terms(metrics: Metrics, action: Tensor) -> dict[str, Tensor]:
     iou: overlap of the symbol with its target on the road, 0..1. centroid: -0.5 times the distance of their centroids relative to the
     symbol's length and width, at most 1. action: -0.01 times the mean square of the action. If nothing is lit, iou is 0 and centroid -0.5.
     """
-    away = (metrics.centroid_percent / 100).norm(dim=-1).nan_to_num(1.0).clamp(max=1.0)
+    away = centroid_distance(metrics).clamp(max=1.0)
     return {
         "iou": metrics.iou.nan_to_num(0.0),
         "centroid": -CENTROID_WEIGHT * away,
         "action": -ACTION_WEIGHT * action.square().mean(-1).to(away),
     }
+
+
+def centroid_distance(metrics: Metrics) -> Tensor:
+    """Distance `[...]` of the symbol's centroid from its target's, relative to the symbol's length and width; 1 if nothing is lit."""
+    return (metrics.centroid_percent / 100).norm(dim=-1).nan_to_num(1.0)
 
 
 def bounds(acting: Acting) -> tuple[Floats, Floats]:
@@ -139,10 +146,11 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
     kp, ki, kd of position, then of rotation, are multiplied by 4 ** action. "heights" `[32]`: changes of the assumed road heights, 8 rows
     from far to near with 4 cells from left to right; 1 is 3 cm.
 
-    The reward is the sum of `reward_terms`, which are in `info["terms"]`; `info["verdict"]` has the
-    symbol's metrics. An episode is truncated after the scenario's steps and never terminates before. `reset(seed=n)` draws the noise of
-    seed n in the same world; `options={"start": [x, y, roll, pitch]}` sets the start pose (m, rad). A copied or unpickled environment is
-    made from the same arguments: call `reset` next.
+    The reward is the sum of `reward_terms`, which are in `info["terms"]`; `info["verdict"]` has the symbol's metrics, `info["is_success"]`
+    whether the centroids are within 5 % of the symbol's size. An episode is truncated after the scenario's steps and never terminates
+    before. `reset(seed=n)` draws the noise of seed n in the same world, without a seed another noise; its info has the "seed".
+    `options={"start": [x, y, roll, pitch]}` sets the start pose (m, rad) within the range of the controller, except with "heights". A
+    copied or unpickled environment is made from the same arguments: call `reset` next.
     """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's name)
@@ -160,12 +168,17 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
         """scenario: a loaded scenario, or a name or path. overrides: changes of its keys, as KEY=VALUE. action: "moves", "gains" or
         "heights". image: rows and columns of the image in observations. render_mode: as for `make`. device: "cpu" or "cuda".
 
-        Raises LuxloopError if there is no such scenario, if it has not exactly one held symbol, or if its plant does not know the truth.
+        Raises LuxloopError for a value that does not exist, if the scenario has not exactly one held symbol, or if its plant does not know
+        the truth.
         """
         EzPickle.__init__(self, scenario, overrides, action=action, image=image, render_mode=render_mode, device=device)
         self.scenario = with_overrides(load(str(scenario)) if isinstance(scenario, str | Path) else scenario, [*overrides, "judge_every=1"])
         if action not in ACTIONS:
             raise LuxloopError(f"action: there is no {action!r}; {did_you_mean(action, ACTIONS)}")
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise LuxloopError(f"render_mode: there is no {render_mode!r}; {did_you_mean(str(render_mode), self.metadata['render_modes'])}")
+        if image is not None and (len(image) != 2 or min(image) < 1):
+            raise LuxloopError(f"image: {image!r} is no size; give its rows and columns, such as (24, 48)")
         self.render_mode, self.image, self._device, self._action = render_mode, image, torch_device(device), action
         self._simulation: Simulation | None = None
         self.prepare({})
@@ -198,11 +211,11 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
         scenario = simulation.scenario.model_copy(update={"seed": noise_seed})
         self.simulation = replace(simulation, scenario=scenario, plant=plant)
         state, symbol = self.simulation.start(), self.simulation.symbol
-        pose = start_of(options, symbol.function.start_pose.pose, (4,)).to(symbol.projector.target)
+        pose = start_of(options, self.acting, symbol.function.start_pose.pose, (4,)).to(symbol.projector.target)
         ((name, held),) = state.symbols.items()
         self._state = replace(state, symbols={name: replace(held, controller=self.acting.start(pose))})
         self._result = None
-        return self._observation(None), {}
+        return self._observation(None), {"seed": noise_seed}
 
     def step(self, action: Floats) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         if self._state is None:
@@ -220,6 +233,7 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
         info = {
             "terms": {key: float(value) for key, value in terms.items()},
             "verdict": {key: value.cpu().numpy() for key, value in vars(metrics).items()},
+            "is_success": bool(centroid_distance(metrics) <= SUCCESS),
         }
         truncated = self._state.step >= self.simulation.scenario.steps
         if self.render_mode == "human":
@@ -234,6 +248,7 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
         return self._picture()
 
     def close(self) -> None:
+        self._state = None
         if self.render_mode == "human":
             from matplotlib import pyplot
 
@@ -271,13 +286,24 @@ def check_options(options: dict[str, Any] | None, *known: str) -> None:
         raise LuxloopError(f"reset: options[{others[0]!r}]: there is no such option; {did_you_mean(others[0], known)}")
 
 
-def start_of(options: dict[str, Any] | None, pose: torch.Tensor, *shapes: tuple[int, ...]) -> torch.Tensor:
-    """Start pose in `options`, by default `pose` `[4]`. Raises LuxloopError for other shapes, or values that are not finite."""
+def start_of(options: dict[str, Any] | None, acting: Acting, pose: torch.Tensor, *shapes: tuple[int, ...]) -> torch.Tensor:
+    """Start pose in `options`, by default `pose` `[4]`.
+
+    Raises LuxloopError for other shapes, values that are not finite or out of the controller's range, or actions without a pose.
+    """
     given = (options or {}).get("start")
     if given is None:
         return pose
+    if isinstance(acting, Heights):
+        raise LuxloopError(
+            "reset: options['start']: the action 'heights' draws the symbol at its target; leave it out, or take moves or gains"
+        )
     start = torch.as_tensor(np.asarray(given, np.float32))
     if start.shape not in shapes or not bool(start.isfinite().all()):
         wanted = " or ".join(map(str, shapes))
         raise LuxloopError(f"reset: options['start']: is no pose; give x and y in m, roll and pitch in rad, in the shape {wanted}")
+    low, high = (each.cpu() for each in acting.limits)
+    if bool(((start < low) | (start > high)).any()):
+        ranges = ", ".join(f"{each.name} {least:.3g} to {most:.3g}" for each, least, most in zip(DEGREES, low, high, strict=True))
+        raise LuxloopError(f"reset: options['start']: is out of the controller's range; give {ranges}, in m and rad")
     return start

@@ -23,11 +23,13 @@ from luxloop.loop.studies.batch.copies import Conditions, Copies
 from luxloop.loop.studies.batch.rollouts import choose
 from luxloop.loop.studies.environment.single import (
     SEEDS,
+    SUCCESS,
     Floats,
     Look,
     SymbolEnv,
     action_of,
     as_gymnasium,
+    centroid_distance,
     check_options,
     observation,
     reward_terms,
@@ -35,7 +37,7 @@ from luxloop.loop.studies.environment.single import (
 )
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.perception.metrics import Metrics
-from luxloop.world.errors import LuxloopError
+from luxloop.world.errors import LuxloopError, did_you_mean
 
 Mask = npt.NDArray[np.bool_]
 
@@ -64,6 +66,8 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
         if action == "heights":
             raise LuxloopError("action: 'heights' is drawn one by one; take luxloop.make, or moves or gains")
         EzPickle.__init__(self, scenario, num_envs, overrides, action=action, image=image, autoreset_mode=autoreset_mode, device=device)
+        if autoreset_mode not in (modes := {each.value: each for each in AutoresetMode}) and autoreset_mode not in modes.values():
+            raise LuxloopError(f"autoreset_mode: there is no {autoreset_mode!r}; {did_you_mean(str(autoreset_mode), modes)}")
         self.single = SymbolEnv(scenario, overrides, action=action, image=image, device=device)
         self.num_envs, self.image, self.mode = num_envs, image, AutoresetMode(autoreset_mode)
         self.metadata = {"autoreset_mode": self.mode, "render_modes": []}
@@ -95,11 +99,15 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
         seeds = [new if each is None else each for each, new in zip(given, drawn, strict=True)]
         check_options(options, "start", "reset_mask")
         fresh = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, bool)), bool)
+        if fresh.shape != (self.num_envs,):
+            raise LuxloopError(
+                f"reset: options['reset_mask']: has the shape {fresh.shape}; give one bool for each of {self.num_envs} copies"
+            )
         if self._state is None and not fresh.all():
             raise LuxloopError("reset: options['reset_mask']: all copies must begin once first")
         symbol = self.copies.symbol
         pose = (
-            start_of(options, symbol.function.start_pose.pose, (4,), (self.num_envs, 4))
+            start_of(options, self.acting, symbol.function.start_pose.pose, (4,), (self.num_envs, 4))
             .to(symbol.projector.target)
             .expand(self.num_envs, 4)
         )
@@ -108,7 +116,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
             self._state, self._age, self._seeds, self._looks = start, np.zeros(self.num_envs, int), seeds, list[Look]()
             self._over, self._look = np.zeros(self.num_envs, bool), self._blind()
         self._begin(fresh, start, seeds)
-        return self._observation(), {}
+        return self._observation(), {"seed": np.array(self._seeds), "_seed": fresh}
 
     def step(self, actions: Floats) -> tuple[Any, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
         if self._state is None:
@@ -121,7 +129,8 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
         if not over.all():
             terms, metrics = self._move(taken)
             rewards = np.where(over, 0.0, sum(terms.values(), taken.new_zeros(())).double().cpu().numpy())
-            infos = _infos({"terms": terms, "verdict": vars(metrics)}, ~over)
+            success = (centroid_distance(metrics) <= SUCCESS).cpu().numpy()
+            infos = _infos({"terms": terms, "verdict": vars(metrics)}, ~over) | {"is_success": success, "_is_success": ~over}
         if over.any():
             self._begin_anew(over)
         truncated = ~over & (self._age >= self.steps)
@@ -132,6 +141,9 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
             self._begin_anew(truncated)
             self._over, observed = np.zeros(self.num_envs, bool), self._observation()
         return observed, rewards, np.zeros(self.num_envs, bool), truncated, infos
+
+    def close_extras(self, **kwargs: Any) -> None:
+        self._state = None
 
     def _move(self, actions: Tensor) -> tuple[dict[str, Tensor], Metrics]:
         """Terms of the reward and metrics of one step of all copies."""

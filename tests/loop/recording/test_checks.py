@@ -70,6 +70,7 @@ def said(got: dict[str, Any]) -> str:
         ({"take": "last"}, 0.4),
         ({"take": "p50"}, 0.4),  # the least of which half of the steps have no more
         ({"take": "p99"}, 0.9),
+        ({"absolute": True, "take": "max"}, 0.9),
         ({"over_s": 0.2, "take": "max"}, 0.65),  # of the last two with a value: 0.9 and 0.4
         ({"from_s": 0.3}, 0.4),
         ({"until_s": 0.2}, 0.55),
@@ -96,6 +97,12 @@ def test_bounds_hold_the_value_themselves_included(bounds, holds):
     got = of([0.5], **bounds)
     assert got["passed"] is holds
     assert said(got).startswith(f"mean {IOU} 0.5, ") and said(got).endswith("passed" if holds else "failed")
+
+
+def test_amounts_of_signed_values_are_bounded():
+    got = of([-0.4, 0.1], [0.2, -0.1], take="max", absolute=True, at_most=2.5)
+    assert (got["value"], got["compared_value"], got["ratio"]) == (0.4, 0.2, 2.0)
+    assert said(got).startswith(f"max |{IOU}| 0.4, ")
 
 
 def test_a_difference_is_taken_step_by_step():

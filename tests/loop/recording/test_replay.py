@@ -17,11 +17,11 @@ import pytest
 
 from luxloop import Simulation
 from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
-from luxloop.loop.recording.comparison import SHARE, compare, tolerances
+from luxloop.loop.recording.comparison import SHARE, differences, tolerances
 from luxloop.loop.recording.manifest import table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.recording.recorder import Recorder
-from luxloop.loop.recording.replay import load, replay, to_csv
+from luxloop.loop.recording.replay import compare, load, replay, to_csv
 from luxloop.loop.recording.summary import steady_step
 from luxloop.loop.simulation.columns import SYMBOL, of_one
 from luxloop.loop.simulation.result import StepResult
@@ -85,6 +85,15 @@ def test_replay_of_an_untouched_recording_agrees(recorded, small_results):
     assert comparison.steps == len(small_results) and steps == list(range(len(small_results)))
 
 
+def test_recordings_are_compared_without_running(recorded, recording, table):
+    assert compare(str(recorded), recording).agrees
+    name = of_symbol("y_m")
+    pq.write_table(changed(table, name, table[name].to_numpy() + 0.01), recording / "trajectory.parquet")
+    edit(recording / "manifest.json", device="cuda")
+    comparison = compare(recorded, recording)
+    assert name in {each.column for each in comparison.differences} and any("cuda" in note for note in comparison.notes)
+
+
 def test_replay_tells_what_differs_from_where_and_by_how_much(recording, table):
     name = of_symbol("y_m")
     y = table[name].to_numpy().copy()
@@ -129,16 +138,16 @@ def test_every_column_is_held_at_its_tolerance(table, name):
     values = np.nan_to_num(table[name].to_numpy())  # of an ordinary symbol there is no aim
     tolerance = SHARE * values.max() if name.startswith("lamp.") else RAW[name.removeprefix("functions.symbol.")][0]
     table = changed(table, name, values)
-    within, beyond = (compare(table, changed(table, name, values + share * tolerance), HELD) for share in (0.9, 1.1))
+    within, beyond = (differences(table, changed(table, name, values + share * tolerance), HELD) for share in (0.9, 1.1))
     assert within == () and [(each.column, each.first_step) for each in beyond] == [(name, 0)]
 
 
 def test_loss_and_steps_are_held_exactly_and_timings_not_at_all(table):
     steps = table.num_rows
-    lost = compare(table, changed(table, of_symbol("loss"), [*[""] * (steps - 1), "nothing"]), HELD)
+    lost = differences(table, changed(table, of_symbol("loss"), [*[""] * (steps - 1), "nothing"]), HELD)
     assert [(d.column, d.first_step, d.recorded, d.replayed) for d in lost] == [(of_symbol("loss"), steps - 1, "", "nothing")]
-    assert compare(table, changed(table, "control_ms", np.arange(steps) * 1e6), HELD, exact=True) == ()
-    (shorter,) = compare(table, table.slice(0, steps - 3), HELD)
+    assert differences(table, changed(table, "control_ms", np.arange(steps) * 1e6), HELD, exact=True) == ()
+    (shorter,) = differences(table, table.slice(0, steps - 3), HELD)
     assert (shorter.column, shorter.recorded, shorter.replayed, shorter.largest) == ("step", steps, steps - 3, 3)
 
 
@@ -147,8 +156,8 @@ def test_missing_in_one_differs_and_missing_in_both_agrees(table):
     values = table[name].to_numpy().copy()
     values[3] = np.nan
     gap = changed(table, name, values)
-    assert compare(gap, gap, HELD, exact=True) == ()
-    (difference,) = compare(table, gap, HELD)
+    assert differences(gap, gap, HELD, exact=True) == ()
+    (difference,) = differences(table, gap, HELD)
     assert (difference.column, difference.first_step, difference.replayed, difference.largest) == (name, 3, None, np.inf)
 
 
@@ -164,7 +173,7 @@ def test_steady_step_may_shift_by_one(table):
         return long
 
     for a, b, largest in ((10, 11, None), (10, 12, 2), (10, None, np.inf), (None, None, None)):
-        found = [each for each in compare(settling(a), settling(b), HELD) if each.column == "functions.symbol: steady step"]
+        found = [each for each in differences(settling(a), settling(b), HELD) if each.column == "functions.symbol: steady step"]
         assert [(each.largest, each.recorded, each.replayed) for each in found] == ([] if largest is None else [(largest, a, b)])
 
 

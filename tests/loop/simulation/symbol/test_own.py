@@ -1,12 +1,13 @@
 """Controllers, extractions and roads of the user's own: named in the scenario, used wherever ours are, and refused in a sentence."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
-from luxloop import ProjectionCommand, Scenario, load
+from luxloop import Observation, ProjectionCommand, Scenario, Simulation, load
 from luxloop.controllers.symbol import FeedforwardParams
 from luxloop.perception.extraction import ExtractionParams, OwnExtractionParams, symbol_image
 from tests.lamps import SMALL_LAMP
@@ -156,3 +157,34 @@ WRONG = {
 def test_what_is_wrong_is_said_in_a_sentence(override, words):
     with sentence(words):
         list(simulation_of(scenario(override, "steps=1")).evaluations())
+
+
+LATE = [
+    f"headlight.model={SMALL_LAMP}",
+    "camera={ width_px=160, height_px=90, oversampling=1, latency_steps=2 }",
+    "road={kind='flat'}",
+    "renderer=raycast",
+]
+
+
+@dataclass(frozen=True)
+class Numbering:
+    """Numbers its commands; the state is the pose, the next number, and the numbers that came back."""
+
+    def start(self, pose):
+        return pose, 0, ()
+
+    def projection(self, state, ego):
+        return ProjectionCommand(state[0], data=state[1])
+
+    def step(self, state, observation: Observation):
+        pose, number, back = state
+        return pose, number + 1, (*back, observation.shown.projection.data if observation.frames is not None else None)
+
+
+def test_data_come_back_with_the_frames_that_show_the_command():
+    simulation = Simulation.prepare(load("snowflake", LATE, steps=5)).with_controller(Numbering())
+    state = simulation.start()
+    for _ in range(5):
+        state, _ = simulation.step(state)
+    assert state.symbols["symbol"].controller[2] == (None, None, 0, 1, 2)

@@ -61,6 +61,7 @@ def test_a_seed_draws_the_noise_and_nothing_else(env):
     first, again, other = (played(env, actions, seed) for seed in (7, 7, 8))
     assert all(map(np.array_equal, first, again))
     assert not np.array_equal(first[1][ERRORS], other[1][ERRORS]) and np.array_equal(first[1][POSE], other[1][POSE])
+    assert env.reset(seed=7)[1] == {"seed": 7} and env.reset(seed=None)[1]["seed"] != 7
     drawn = [played(env, actions[:1], seed) for seed in (7, None, None, 7, None)]
     assert np.array_equal(drawn[1][1], drawn[4][1]), "what follows a seed is drawn from it"
     assert not np.array_equal(drawn[1][1], drawn[2][1])
@@ -79,6 +80,7 @@ def test_moves_move_the_symbol_as_far_as_the_controller_may(env):
     assert reward == pytest.approx(sum(info["terms"].values()), abs=1e-6) and not (terminated or truncated)
     assert info["terms"]["action"] == pytest.approx(-0.01 * (1 + 0.25 + 0 + 1) / 4)
     assert info["terms"]["iou"] == pytest.approx(float(info["verdict"]["iou"]))
+    assert info["is_success"] == (np.linalg.norm(info["verdict"]["centroid_percent"]) <= 5)
     assert before[CODES].argmax() == ExtractionStatus.NO_FRAME and after[CODES].argmax() == ExtractionStatus.SEEN
 
 
@@ -108,8 +110,11 @@ def test_an_episode_ends_with_the_scenarios_steps_and_other_actions_are_refused(
         with refusal(r"step: an action has the shape \(4,\) and finite numbers"):
             env.step(action.astype(np.float32))
     assert [env.step(np.zeros(4, np.float32))[3] for _ in range(5)] == [False] * 4 + [True]
+    closed = luxloop.make("snowflake", *SMALL)
+    closed.reset()
+    closed.close()
     with refusal("call reset"):
-        luxloop.make("snowflake", *SMALL).step(np.zeros(4, np.float32))
+        closed.step(np.zeros(4, np.float32))
 
 
 def test_gains_that_stay_are_the_thesis_pid_and_others_are_not():
@@ -156,6 +161,7 @@ def test_each_copy_is_the_single_environment(action, more):
         alone, reward, _, end, info = one.step(action_now[1])
         assert together[1][ERRORS] == pytest.approx(alone[ERRORS], abs=2e-3)
         assert rewards[1] == pytest.approx(reward, abs=1e-3) and ends[1] == end
+        assert infos["is_success"][1] == info["is_success"]
         assert infos["verdict"]["iou"][1] == pytest.approx(float(info["verdict"]["iou"]), abs=1e-3)
 
 
@@ -182,6 +188,33 @@ def test_copies_begin_anew_as_the_mode_says():
     assert by_hand.step(zero)[3].tolist() == [False, True]
     with refusal("episodes are over"):
         by_hand.step(zero)
+
+
+def test_stable_baselines_gets_the_copies_and_their_last_observations():
+    zero = np.zeros((2, 4), np.float32)
+    plain = luxloop.make_vec("snowflake", 2, *SMALL, "steps=2", autoreset_mode="Disabled")
+    first, _ = plain.reset(seed=3)
+    expected = [plain.step(zero) for _ in range(2)]
+    learnt = luxloop.make_sb3(luxloop.make_vec("snowflake", 2, *SMALL, "steps=2", autoreset_mode="Disabled"))
+    learnt.seed(3)
+    assert np.array_equal(learnt.reset(), first) and [each["seed"] for each in learnt.reset_infos] == [3, 4]
+    for ends, (seen, rewards, *_, infos) in zip((False, True), expected, strict=True):
+        now, reward, done, told = learnt.step(zero)
+        assert np.array_equal(told[1]["terminal_observation"] if ends else now[1], seen[1]) and done.tolist() == [ends] * 2
+        assert reward == pytest.approx(rewards) and told[1]["verdict"]["iou"] == infos["verdict"]["iou"][1]
+    assert np.array_equal(now, first), "begun anew"
+    with refusal("autoreset_mode"):
+        luxloop.make_sb3(luxloop.make_vec("snowflake", 2, *SMALL))
+
+
+def test_starts_are_drawn_for_each_copy():
+    starts = ((14.0, -1.0, -0.05, -0.02), (20.0, 1.0, 0.05, 0.02))
+    drawn = luxloop.make_sb3(luxloop.make_vec("snowflake", 2, *SMALL, autoreset_mode="Disabled"), starts)
+    drawn.seed(1)
+    poses = [drawn.reset()[:, POSE] for _ in range(2)]
+    drawn.seed(1)
+    assert np.array_equal(drawn.reset()[:, POSE], poses[0]) and len(np.unique(np.concatenate(poses), axis=0)) == 4
+    assert all((np.float32(starts[0]) <= each).all() and (each <= np.float32(starts[1])).all() for each in poses)
 
 
 def test_gymnasium_makes_the_vector_of_copies():
@@ -213,6 +246,13 @@ def test_worlds_are_drawn_from_the_seed_and_shared_by_episodes():
         (lambda: luxloop.make_vec("snowflake", 2, *SMALL, "vehicle.course=[{ speed_m_s=10.0 }]"), "in which nothing moves"),
         (lambda: luxloop.make("snowflake", *SMALL).reset(options={"start": [1.0, 2.0]}), "give x and y in m"),
         (lambda: luxloop.make("snowflake", *SMALL).reset(options={"start": [[9.0, 0.0, 0.0, 0.0]] * 3}), r"in the shape \(4,\)"),
+        (lambda: luxloop.make("snowflake", *SMALL).reset(options={"start": [100.0, 0.0, 0.0, 0.0]}), "give x 8 to 40"),
+        (lambda: luxloop.make("snowflake", *SMALL, action="heights").reset(options={"start": [9.0, 0.0, 0.0, 0.0]}), "at its target"),
+        (lambda: luxloop.make("snowflake", *SMALL, render_mode="rgb"), "render_mode: there is no 'rgb'; did you mean 'rgb_array'"),
+        (lambda: luxloop.make("snowflake", *SMALL, image=(0, 5)), "rows and columns"),
+        (lambda: luxloop.make("snowflake", *SMALL, device="gpu"), "device gpu"),
+        (lambda: luxloop.make_vec("snowflake", 2, *SMALL, autoreset_mode="Never"), "autoreset_mode: there is no 'Never'"),
+        (lambda: luxloop.make_vec("snowflake", 2, *SMALL).reset(options={"reset_mask": [True]}), "one bool for each of 2 copies"),
         (lambda: luxloop.make("snowflake", *SMALL, device="cuda:99"), "cuda"),
         (lambda: luxloop.make_vec("snowflake", 0, *SMALL), "num_envs: 0"),
         (lambda: Randomised(luxloop.make("snowflake", *SMALL), ["road.seed=1:2"], every=0), "every: 0"),
