@@ -117,7 +117,7 @@ def run(  # noqa: PLR0913 (independent options)
         def page(table: pa.Table, summary: dict[str, Any], manifest: Manifest) -> None:
             from luxloop.loop.report.page import write_report  # deferred, so that the first step need not load Matplotlib
 
-            write_report(folder / REPORT, simulation, highlights, table, summary, manifest)
+            write_report(folder / REPORT, simulation, highlights, run_checks.with_full_light(table), summary, manifest)
 
         recorder = stack.enter_context(Recorder(folder, simulation, page if report else None, run_checks.outcomes, frames, wanted))
         film = stack.enter_context(Film(folder / VIDEO, simulation)) if video else None

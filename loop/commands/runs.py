@@ -9,8 +9,9 @@ from typing import Any
 import torch
 from rich.markup import escape
 
-from luxloop.loop.recording.checks import success
+from luxloop.loop.recording.checks import Checks, success
 from luxloop.loop.recording.manifest import PAGES, SUMMARY, TRAJECTORY, Manifest
+from luxloop.loop.recording.record import row
 from luxloop.loop.recording.replay import load_to_rerun, replay, rerun
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.report.highlights import Highlights
@@ -95,13 +96,16 @@ def draw_report(directory: Path, out: Path, allow_code: bool) -> Path:
     _one_thread()
     first = Simulation.prepare(recording.scenario)
     highlights, now = Highlights(first), first
+    compared = any(each["compare"] for each in summary["checks"].values())
+    checks = Checks(recording.scenario.checks, (lambda light: map(row, first.lit_by(light).evaluations())) if compared else None)
     with tables.progress(recording.scenario.name, recording.table.num_rows) as advance:
         for simulation, result in rerun(recording, first):
             if simulation is not now:
                 highlights.edit(now := simulation)
             highlights.add(result)
+            checks.step()
             advance()
-    write_report(out, now, highlights, recording.table, summary, recording.manifest)
+    write_report(out, now, highlights, checks.with_full_light(recording.table), summary, recording.manifest)
     return out
 
 

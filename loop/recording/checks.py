@@ -11,6 +11,7 @@ from luxloop.loop.recording.summary import Summary, column
 from luxloop.loop.scenario.checks import Baseline, By, CheckParams
 
 ROUNDING_S = 1e-6  # at the ends of a window, for sums of periods and clocks that count from 1970
+IN_FULL_LIGHT = " in full light"  # end of the names of columns
 NOTHING = "nothing was there to check"
 
 
@@ -28,6 +29,15 @@ class Checks:
         for light, run in self._runs.items():
             values = next(run)
             self._rows[light].append({name: values.get(name) for name in ("time_s", *(check.metric for check in self._checks.values()))})
+
+    def with_full_light(self, table: pa.Table) -> pa.Table:
+        """The table of the run so far, with the values in full light of the columns that checks compare with it as further columns."""
+        rows = self._rows.get("full_light", [])
+        for name in dict.fromkeys(check.metric for check in self._checks.values() if check.compare == "full_light"):
+            values = [each[name] for each in rows] + [None] * (table.num_rows - len(rows))
+            field = pa.field(name + IN_FULL_LIGHT, pa.float64(), metadata=table.schema.field(name).metadata)
+            table = table.append_column(field, pa.array(values, pa.float64()))
+        return table
 
     def outcomes(self, table: pa.Table) -> dict[str, Summary]:
         """Outcome of each check, by name, ready for JSON. table: rows of the run so far."""

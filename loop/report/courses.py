@@ -12,6 +12,7 @@ from matplotlib.figure import SubFigure
 from matplotlib.ticker import LogFormatter, SymmetricalLogLocator
 
 from luxloop.controllers.functions.commands import MOVEMENTS
+from luxloop.loop.recording.checks import IN_FULL_LIGHT
 from luxloop.loop.recording.functions_summary import START_UP_S, UNITS, brightest, materials_of, plain_name, reference_power, zones_of
 from luxloop.loop.recording.summary import Summary, column
 from luxloop.loop.report.style import FOUR, heading
@@ -49,6 +50,8 @@ def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, su
     shown, looks = brightest(summary["objects"]), simulation.pipeline is not None
     if shown and looks:
         charts[lambda axes: _confidences(axes, table, shown, summary)] = 1.4
+    if scores := [name.removesuffix(IN_FULL_LIGHT) for name in table.column_names if name.endswith(f".score{IN_FULL_LIGHT}")]:
+        charts[lambda axes: _scores(axes, table, scores)] = 1.2
     if any(each["lx_max"] is not None for each in summary["objects"].values()):
         charts[lambda axes: _on_objects(axes, table, shown, summary, with_names=not looks)] = 1.6
     panels = figure.subplots(len(charts), 1, sharex=True, squeeze=False, height_ratios=list(charts.values()))[:, 0]
@@ -58,10 +61,11 @@ def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, su
 
 
 def _curve(axes: Axes, table: pa.Table, values: str | np.ndarray, *line: str, **style: Any) -> None:
-    """Plot values, or a column by its name, over time."""
-    values = column(table, values) if isinstance(values, str) else values
-    marker = "." if table.num_rows < FEW_STEPS else ""
-    axes.plot(column(table, "time_s"), values, *line, **{"marker": marker} | style)
+    """Plot values, or a column by its name and beside it that in full light, if there is one, over time."""
+    times_s, marker = column(table, "time_s"), "." if table.num_rows < FEW_STEPS else ""
+    axes.plot(times_s, column(table, values) if isinstance(values, str) else values, *line, **{"marker": marker} | style)
+    if isinstance(values, str) and (full := values + IN_FULL_LIGHT) in table.column_names:
+        axes.plot(times_s, column(table, full), "--", **style | {"linewidth": 0.9, "marker": "", "label": "in full light"})
 
 
 def _flux(axes: Axes, simulation: Simulation, table: pa.Table) -> None:
@@ -157,13 +161,25 @@ def _materials(axes: Axes, table: pa.Table) -> None:
 
 
 def _confidences(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summary) -> None:
+    untracked = [name for name in names if not np.nanmax(column(table, f"objects.{name}.confidence"), initial=0.0)]
     for name, colour in zip(names, COLOURS, strict=False):
+        if name in untracked:
+            continue
         gone = summary["objects"][name]["steps_lost"]
         label = plain_name(name) + (f", lost in {gone} steps" if gone else "")
         _curve(axes, table, f"objects.{name}.confidence", color=colour, label=label, marker="")
+    if untracked:
+        axes.plot([], [], color="none", label=f"{plural(len(untracked), 'object')} without a track")
     axes.set(ylim=(0, 1.02))
     nothing = summary["tracks_of_nothing"]
     heading(axes, "Confidence of objects" + (f" (false tracks in {nothing} steps)" if nothing else ""))
+
+
+def _scores(axes: Axes, table: pa.Table, scores: Sequence[str]) -> None:
+    for name, colour in zip(scores, cycle(COLOURS), strict=False):
+        _curve(axes, table, name, color=colour, label=plain_name(name.split(".")[1]))
+    axes.set(ylim=(-0.02, 1.05))
+    heading(axes, "Scores of detections in single frames")
 
 
 def _on_objects(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summary, with_names: bool) -> None:

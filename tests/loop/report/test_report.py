@@ -61,6 +61,19 @@ def courses(function: Any, table: pa.Table, **summary: Any) -> list[Axes]:
     return figure.axes
 
 
+def test_curves_in_full_light_lie_beside_those_of_the_run(tmp_path, monkeypatch):
+    drawn: list[Axes] = []
+    monkeypatch.setattr("luxloop.loop.report.courses.heading", lambda axes, title: drawn.append(axes))
+    dimmed, lamp = {"base": {"beam": "low"}}, {"model": "ssl-hd-lores"}
+    car = box("car", (4.4, 1.8, 1.5), (20.0, 0.0, 0.0), category="car")
+    checks = {"flux": toml("{ metric = 'lamp.left.flux_lm', at_most = 0.9, compare = 'full_light' }")}
+    scenario = validate(SMALL | {"functions": {}, "objects": [car], "headlight": lamp, "lighting": dimmed, "checks": checks}, "here")
+    found = run(scenario, tmp_path, device="cpu", video=False, checks=True)
+    run_lm, full_lm = (line.get_ydata() for line in drawn[0].lines[:2])
+    assert run_lm == pytest.approx(found.trajectory["lamp.left.flux_lm"].to_numpy())
+    assert full_lm == pytest.approx(np.full(len(run_lm), found.summary["checks"]["flux"]["compared_value"]))
+
+
 def lost(result: StepResult) -> StepResult:
     nan = torch.full((4,), torch.nan)
     code = torch.tensor(int(ExtractionStatus.NOTHING))
