@@ -1,4 +1,4 @@
-// Borders between panels that are dragged or moved by arrow keys, and what this browser remembers of the page.
+// Borders between panels that are dragged or moved by arrow keys, panels that change places, and what this browser remembers of the page.
 
 import { h } from "./dom.ts";
 import type { State, Studio } from "./state.ts";
@@ -16,18 +16,21 @@ const REMEMBERED = ["keys_open", "things", "maximised", "viewpoint"] as const sa
 const PLACE = "luxloop";
 
 interface Remembered {
+  /** Areas of panels that are in another's place. */
+  areas?: Partial<Record<string, string>>;
   borders?: Partial<Record<Border, number>>;
   views?: Partial<Pick<State, (typeof REMEMBERED)[number]>>;
 }
 
-/** Borders by name, each as an element between two panels. */
-export function layout(store: Studio): Record<Border, HTMLElement> {
+/** Borders by name, each as an element between two panels. panels: two change places where the title of one is dragged onto the other. */
+export function layout(store: Studio, panels: readonly HTMLElement[]): Record<Border, HTMLElement> {
   const kept = remembered();
+  const areas = { ...kept.areas };
   const borders: Partial<Record<Border, number>> = { ...kept.borders };
   store.set({ ...kept.views });
   const keep = () => {
     const views = Object.fromEntries(REMEMBERED.map((key) => [key, store.state[key]]));
-    localStorage.setItem(PLACE, JSON.stringify({ borders, views }));
+    localStorage.setItem(PLACE, JSON.stringify({ areas, borders, views }));
   };
   const border = (name: Border): HTMLElement => {
     const { label, across } = BORDERS[name];
@@ -73,6 +76,29 @@ export function layout(store: Studio): Record<Border, HTMLElement> {
     });
     return element;
   };
+  const area = ({ dataset }: HTMLElement) => areas[dataset.panel!] ?? dataset.panel!;
+  const arrange = () => {
+    for (const each of panels) each.style.setProperty("--area", area(each));
+  };
+  arrange();
+  for (const panel of panels) {
+    const title = panel.querySelector("h2")!;
+    title.title = "Drag onto another panel: both change places";
+    title.addEventListener("pointerdown", ({ pointerId }) => title.setPointerCapture(pointerId));
+    title.addEventListener("pointermove", ({ clientX, clientY, pointerId }) => {
+      if (!title.hasPointerCapture(pointerId)) return;
+      const over = document.elementFromPoint(clientX, clientY)?.closest("[data-panel]");
+      for (const each of panels) each.classList.toggle("target", each === over && each !== panel);
+    });
+    title.addEventListener("lostpointercapture", () => {
+      const other = panels.find(({ classList }) => classList.contains("target"));
+      if (!other) return;
+      other.classList.remove("target");
+      [areas[panel.dataset.panel!], areas[other.dataset.panel!]] = [area(other), area(panel)];
+      arrange();
+      keep();
+    });
+  }
   store.on(REMEMBERED, keep);
   return { columns: border("columns"), pictures: border("pictures"), rows: border("rows"), drawer: border("drawer") };
 }

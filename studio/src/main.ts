@@ -57,19 +57,10 @@ const placing = placeThings(store, session, scenes, toasts.show);
 const matrix = matrixPanel(store, session, toasts.show);
 const light = worldLight(store, session, scenes, matrix.painting);
 const measures = measuring(store, session, scenes, toasts.show);
-const borders = layout(store);
-const main = h(
-  "main",
-  {},
-  measures.profile,
-  scenes.element,
-  borders.columns,
-  cameraPanel(store, measures),
-  borders.pictures,
-  matrix.element,
-  borders.rows,
-  curvesPanel(store, session),
-);
+const panels = [scenes.element, cameraPanel(store, measures), matrix.element, curvesPanel(store, session)] as const;
+const [scene, camera, pixels, curves] = panels;
+const borders = layout(store, panels);
+const main = h("main", {}, measures.profile, scene, borders.columns, camera, borders.pictures, pixels, borders.rows, curves);
 const top = h("header", { class: "top" }, tools.element, notices(store));
 document.body.append(
   top,

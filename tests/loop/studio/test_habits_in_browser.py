@@ -35,6 +35,9 @@ def test_the_page_is_as_one_left_it(page, symbol):
     ActionChains(page).drag_and_drop_by_offset(border, -100, 0).perform()
     wide = one(page, ".panel.camera").size["width"]
     assert wide == pytest.approx(before + 100, abs=3)
+    camera, matrix = (one(page, f".panel.{name}").rect for name in ("camera", "matrix"))
+    ActionChains(page).drag_and_drop(one(page, ".panel.camera h2"), one(page, ".panel.matrix .panel-body")).perform()
+    assert [one(page, f".panel.{name}").rect for name in ("matrix", "camera")] == [camera, matrix]
     press(page, "5k")
     until(page, "return document.body.classList.contains('drawn')")
     narrow = one(page, ".keys-panel").size["width"]
@@ -47,6 +50,7 @@ def test_the_page_is_as_one_left_it(page, symbol):
     press(page, "k")
     until(page, "return !document.body.classList.contains('drawn')")
     assert one(page, ".panel.camera").size["width"] == pytest.approx(wide, abs=1)
+    assert one(page, ".panel.camera").location["y"] > one(page, ".panel.matrix").location["y"]
 
 
 def test_nothing_of_the_last_scenario_is_left_in_another(page, symbol):
