@@ -126,8 +126,8 @@ class Result:
         if self.min is None and self.max is None:
             return "–"
         if self.min is not None and self.max is not None:
-            return f"{self.min:.5g} to {self.max:.5g}"
-        return f"at least {self.min:.5g}" if self.min is not None else f"at most {self.max:.5g}"
+            return f"{self.min:.6g} to {self.max:.6g}"
+        return f"at least {self.min:.6g}" if self.min is not None else f"at most {self.max:.6g}"
 
 
 def margin(value: float, least: float | None, most: float | None) -> float:

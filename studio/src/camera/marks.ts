@@ -11,6 +11,8 @@ export const MARKS: Record<Mark["kind"], { colour: string; dash: number[]; text:
   target: { colour: "#ffffff", dash: [6, 4], text: "target" },
 };
 
+const LINE_PX = 13; // from one text to the next above
+
 /** Draw marks in pixels of the camera; `scale` is CSS pixels a pixel. */
 export function drawMarks(context: CanvasRenderingContext2D, marks: readonly Mark[], scale: number): void {
   const px = 1 / scale;
@@ -34,12 +36,18 @@ export function drawMarks(context: CanvasRenderingContext2D, marks: readonly Mar
   context.setLineDash([]);
   context.font = `${12 * px}px system-ui, sans-serif`;
   context.textBaseline = "bottom";
+  const line = LINE_PX * px;
+  const taken: { u: number; v: number; end: number }[] = [];
   for (const { text, at, kind } of marks) {
     if (!text) continue;
+    const place = { u: at[0], v: at[1], end: at[0] + context.measureText(text).width };
+    const isTaken = () => taken.some(({ u, v, end }) => Math.abs(v - place.v) < line && u < place.end && place.u < end);
+    while (isTaken()) place.v -= line;
+    taken.push(place);
     context.strokeStyle = "#000c";
     context.lineWidth = 3 * px;
-    context.strokeText(text, at[0], at[1]);
+    context.strokeText(text, place.u, place.v);
     context.fillStyle = (MARKS[kind] ?? MARKS.found).colour;
-    context.fillText(text, at[0], at[1]);
+    context.fillText(text, place.u, place.v);
   }
 }

@@ -105,7 +105,7 @@ export function cameraPanel(store: Studio, measures: Pick<Measuring, "hover" | "
     choose();
   });
   bar.append(runSwitch(store, "camera_run"), frames, marksToggle.button, symbolToggle.button);
-  body.append(view.canvas, empty, notes, legend, readout);
+  body.append(view.canvas, empty, readout, notes, legend);
   store.on(["scenario", "camera_run"], ({ scenario, camera_run }) => {
     const run = scenario?.runs[camera_run];
     if (!run) return;

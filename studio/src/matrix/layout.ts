@@ -47,12 +47,13 @@ function inColumns(modules: readonly Module[], columns: number): Layout {
         const { bottom, top } = modules[module];
         const width = WIDEST * Math.max(NARROWEST, field(modules[module]) / widest);
         const height = (width * Math.abs(top - bottom)) / Math.max(field(modules[module]), 1e-9);
-        return { module, x: place * (lamp + 2 * GAP) + column * (WIDEST + GAP) + (WIDEST - width) / 2, y: y + LABEL, width, height };
+        const x = GAP / 2 + place * (lamp + 2 * GAP) + column * (WIDEST + GAP) + (WIDEST - width) / 2;
+        return { module, x, y: y + LABEL, width, height };
       });
       tiles.push(...row);
       y += LABEL + Math.max(...row.map(({ height }) => height));
     }
     tallest = Math.max(tallest, y);
   });
-  return { width: Math.max(1, sides.length * (lamp + 2 * GAP) - 2 * GAP), height: Math.max(1, tallest), tiles };
+  return { width: Math.max(1, sides.length * (lamp + 2 * GAP) - GAP), height: tallest + GAP / 2, tiles };
 }
