@@ -161,15 +161,10 @@ def _materials(axes: Axes, table: pa.Table) -> None:
 
 
 def _confidences(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summary) -> None:
-    untracked = [name for name in names if not np.nanmax(column(table, f"objects.{name}.confidence"), initial=0.0)]
     for name, colour in zip(names, COLOURS, strict=False):
-        if name in untracked:
-            continue
         gone = summary["objects"][name]["steps_lost"]
         label = plain_name(name) + (f", lost in {gone} steps" if gone else "")
         _curve(axes, table, f"objects.{name}.confidence", color=colour, label=label, marker="")
-    if untracked:
-        axes.plot([], [], color="none", label=f"{plural(len(untracked), 'object')} without a track")
     axes.set(ylim=(0, 1.02))
     nothing = summary["tracks_of_nothing"]
     heading(axes, "Confidence of objects" + (f" (false tracks in {nothing} steps)" if nothing else ""))
