@@ -31,6 +31,7 @@ from .loop.simulation.protocol import Exposure as Exposure
 from .loop.simulation.protocol import Frame as Frame
 from .loop.simulation.simulated import simulated_plant as simulated_plant
 from .loop.simulation.simulation import Simulation as Simulation
+from .loop.studies.campaign_report import campaign as campaign
 from .loop.studies.contracts.controller import check_controller as check_controller
 from .loop.studies.contracts.detector import check_detector as check_detector
 from .loop.studies.contracts.function import check_function as check_function

@@ -61,9 +61,15 @@ def campaign(
     device
         Device to compute on; auto takes CUDA if available.
     """
-    from luxloop.loop.studies.campaign_report import do_campaign
+    from luxloop.loop.studies import campaign_report
 
-    return OK if do_campaign(file, out, jobs, scheduler, device, allow_code) else DIFFERS
+    folder = out or Path("runs") / file.stem
+    found = campaign_report.campaign(file, folder, jobs=jobs, scheduler=scheduler, device=device, allow_code=allow_code)
+    for key, reason in found.failures.items():
+        tables.say(f"failed: {key}: {reason}", stderr=True)
+    tables.show(campaign_report.overview(found))
+    print(f"{folder / campaign_report.TABLE} and {folder / campaign_report.REPORT} written")
+    return DIFFERS if found.failures else OK
 
 
 def dataset(

@@ -47,11 +47,12 @@ def summarise(
     iou_open: IoU of the open loop at the last step, NaN without one. centroid_error_percent: [x, y], signed, mean of the last five steps.
     unsettled: why there is no settle_step (`settling_failure`). cut, cut_side: share of the symbol beyond the lamps' field at the last
     step, and the border with the largest share. aim: place [x, y] in m of the symbol at the last step if that is not its target, else None.
-    iou_mean, iou_min: of the second half of the run. shown_steps: steps that show the symbol; seen_steps: steps with a measurement;
-    lost_steps: steps whose frames lack the symbol; covered_steps: lost steps in which other functions (covered_by) cover the symbol.
+    iou_mean: of all evaluated steps; iou_second_half_mean, iou_second_half_min: of those in the second half of the run. shown_steps: steps
+    that show the symbol; seen_steps: steps with a measurement; lost_steps: steps whose frames lack the symbol; covered_steps: lost steps in
+    which other functions (covered_by) cover the symbol.
     """
     evaluated, losses = steps_with_metrics(table), table["loss"].to_pylist()
-    late = column(table, "iou")[table.num_rows // 2 :]
+    ious, late = column(evaluated, "iou"), column(table, "iou")[table.num_rows // 2 :]
     late = late[np.isfinite(late)]
     shares = {side: last(table, f"cut_{side}") for side in SIDES}
     aim = [last(table, axis) for axis in ("aim_x_m", "aim_y_m")]
@@ -72,8 +73,9 @@ def summarise(
         "aim": None if math.isnan(aim[0]) else aim,
         "iou_open": iou_open,
         "iou_final": last(evaluated, "iou"),
-        "iou_mean": late.mean() if len(late) else None,
-        "iou_min": late.min(initial=math.inf),
+        "iou_mean": ious.mean() if len(ious) else None,
+        "iou_second_half_mean": late.mean() if len(late) else None,
+        "iou_second_half_min": late.min(initial=math.inf),
         "z_m_final": last(table, "z_m"),
         "ssim_final": last(evaluated, "ssim"),
         **asdict(run),

@@ -168,7 +168,8 @@ def _symbol_rows(values: Summary) -> dict[str, str]:
     x, y = values["centroid_error_percent"]
     settled = values["settle_step"]
     ended, without = (number(values[key], ".3f") for key in ("iou_final", "iou_open"))
-    late = f"; {number(values['iou_mean'], '.3f')} on average and {number(values['iou_min'], '.3f')} at least in the second half"
+    mean, least = (number(values[f"iou_second_half_{each}"], ".3f") for each in ("mean", "min"))
+    late = f"; {mean} on average and {least} at least in the second half"
     return {
         "settle step": f"{settled} of {values['shown_steps']}" if settled is not None else "not settled",
         "centroid error": f"{number(x, '.2f')} % along, {number(y, '.2f')} % across",

@@ -3,18 +3,24 @@
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
+import pyarrow as pa
 from pydantic import Field
 
-from luxloop.loop.recording.manifest import digests
+from luxloop.loop.recording.manifest import digests, write_table
 from luxloop.loop.recording.sources import digest_of_code
 from luxloop.loop.scenario.model import Scenario, load, only, validate
-from luxloop.loop.scenario.overrides import resolve_paths
+from luxloop.loop.scenario.overrides import INDEX, resolve_paths
+from luxloop.loop.simulation.columns import of_one
+from luxloop.loop.studies import ranges
 from luxloop.loop.studies.jobs import ALL_CORES, Executor, Job, Results, run
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import output_folder
@@ -23,10 +29,11 @@ from luxloop.world.plugin import refuse_code
 from luxloop.world.validation import read_toml, validate_model
 
 if TYPE_CHECKING:
-    from luxloop.loop.simulation.result import Rollout
+    from luxloop.loop.studies.runs import Run as Done
 
 MOST_RUNS = 100_000
-JOBS, TABLE = "jobs.jsonl", "runs.parquet"
+LIMITS = re.compile("_(range|rate)_|^highest_m$")  # in keys of controllers
+JOBS, TABLE, TRAJECTORIES = "jobs.jsonl", "runs.parquet", "trajectories.parquet"
 Row = dict[str, Any]
 
 
@@ -50,27 +57,39 @@ class CampaignParams(Params):
     )
     seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field((0,), min_length=1, description="seeds of all noise")
     set: dict[str, Any] = Field({}, description="changed keys of all scenarios, written as in a scenario file")
+    draw: dict[str, Any] = Field(
+        {},
+        examples=[{"road": {"seed": "1:100000"}}],
+        description="keys with a value drawn for each seed, the same for all controllers and variants: from a range `low:high` or "
+        "`low:high:log`, or from a list",
+    )
+    trajectories: bool = Field(False, description="whether to write the steps of all runs into trajectories.parquet")
     variants: dict[str, dict[str, Any]] = Field({}, description="named tables of further changed keys; left out: one variant, unchanged")
     runs: tuple[RunParams, ...] = Field((), description="single runs in addition to the grid")
 
 
 @dataclass(frozen=True)
 class Run:
-    """A run of a campaign: its parameters, and its scenario with all changes."""
+    """A run of a campaign: its parameters, its scenario with all changes, drawn values by key, and whether its steps are written."""
 
     params: RunParams
     scenario: Scenario
+    drawn: Mapping[str, Any]
+    trajectory: bool
 
     @property
     def row(self) -> Row:
         """Columns that identify the run."""
         held = self.scenario.symbol.controller if len(self.scenario.symbols) == 1 else None
-        controller = None if held is None else held.name
+        controller = None if held is None else held.name.rpartition(":")[-1]
         return {
             "scenario": Path(self.params.scenario).stem,
             "controller": controller,
             "variant": self.params.variant or "",
             "seed": self.params.seed,
+            **{f"draw.{key}": value for key, value in self.drawn.items()},
+            **({} if held is None else {f"limit.{key}": str(value) for key, value in held if LIMITS.search(key)}),
+            "steps": self.scenario.steps,
             "scenario_sha256": self.scenario.digest,
         }
 
@@ -92,8 +111,9 @@ def read(file: Path, *, allow_code: bool = False) -> list[Run]:
     n_runs = math.prod(map(len, (params.scenarios, params.controllers or [0], params.variants or [0], params.seeds))) + len(params.runs)
     if n_runs > MOST_RUNS:
         raise LuxloopError(f"{file}: names {n_runs:,} runs, more than {MOST_RUNS:,}; split it into several campaigns")
-    runs = dict[str, Run]()
-    for each in (_run(file, params, one, allow_code) for one in _all(params)):
+    resolve_paths(params.set, file.parent)
+    runs, draws = dict[str, Run](), cache(lambda name: _draws(file, params, name))
+    for each in (_run(file, params, one, draws, allow_code) for one in _all(params)):
         if runs.setdefault(each.key, each).scenario.digest != each.scenario.digest:
             raise LuxloopError(f"{file}: two different runs are both called {each.key!r}; rename a scenario's file, or give variants")
     if not runs:
@@ -103,26 +123,50 @@ def read(file: Path, *, allow_code: bool = False) -> list[Run]:
 
 def run_campaign(file: Path, out: Path, *, device: str = "cpu", executor: Executor = ALL_CORES, allow_code: bool = False) -> Results:
     """Run what `out` does not hold yet, and write the table of all runs: rows in the order of the file, each with identity, metrics, and
-    `error`, empty on success.
+    `error`, empty on success; with `trajectories` also the table of their steps.
 
     Raises as `read`, `luxloop.loop.studies.jobs.run` and `luxloop.world.files.output_folder`.
     """
     runs = read(file, allow_code=allow_code)
     jobs = [
-        Job(each.key, {"scenario": each.scenario.model_dump(mode="json"), "inputs": digests(each.scenario), "device": device})
+        Job(
+            each.key,
+            {
+                "scenario": each.scenario.model_dump(mode="json"),
+                "inputs": digests(each.scenario),
+                "device": device,
+                "trajectory": each.trajectory,
+            },
+        )
         for each in runs
     ]
     if out.is_dir() and any(out.iterdir()) and not (out / JOBS).exists():
         raise LuxloopError(f"{out}: holds files that are no campaign; give an empty or a new folder with --out")
     with output_folder(out):
         results = run(figures_of, jobs, out / JOBS, version=digest_of_code(), executor=executor, title="runs", kind=kind_of)
-        given = {"scenario", "inputs", "device", "controller"}  # parameters of a job; the last is a figure of a symbol
+        given = {"scenario", "inputs", "device", "trajectory", "controller"}  # parameters of a job; the last is a figure of a symbol
+        steps = {row["key"]: row.pop("steps_of", {}) for row in results.rows}
         found = {row["key"]: {name: value for name, value in row.items() if name not in {"key", *given}} for row in results.rows}
         rows = [{"key": each.key, **each.row, **found.get(each.key, {}), "error": results.failures.get(each.key, "")} for each in runs]
         columns = list(dict.fromkeys(name for row in rows for name in row))
         results = Results([{name: row.get(name) for name in columns} for row in rows], results.failures)
         results.write(out / TABLE)
+        if any(steps.values()):
+            write_table(out / TRAJECTORIES, _trajectories(runs, steps))
     return results
+
+
+def _trajectories(runs: Sequence[Run], steps: Mapping[str, Mapping[str, Mapping[str, Sequence[Any]]]]) -> pa.Table:
+    """Steps of all runs, one after the other, with the columns that identify a run. steps: columns by key of a run and held symbol."""
+    parts = []
+    for each in runs:
+        identity = {name: value for name, value in each.row.items() if name in ("scenario", "controller", "variant", "seed")}
+        for name, columns in steps.get(each.key, {}).items():
+            shown = pa.table(columns)
+            same = {key: pa.array([value] * shown.num_rows) for key, value in {**identity, "function": name}.items()}
+            parts.append(pa.table({**same, **{key: shown[key] for key in shown.column_names}}))
+    table = pa.concat_tables(parts, promote_options="permissive")
+    return table.cast(pa.schema([pa.field(each.name, pa.float64() if pa.types.is_null(each.type) else each.type) for each in table.schema]))
 
 
 def kind_of(parameters: Mapping[str, Any]) -> str | None:
@@ -134,12 +178,21 @@ def kind_of(parameters: Mapping[str, Any]) -> str | None:
 
 
 def figures_of(parameters: Sequence[Mapping[str, Any]]) -> list[Row | Exception]:
-    """Metrics of each scenario of jobs of one kind, or the error of its run."""
-    return [each if isinstance(each, Exception) else each[0] for each in runs_of_many(parameters)]
+    """Metrics of each scenario of jobs of one kind, with its steps if they are to be written, or the error of its run."""
+    found: list[Row | Exception] = []
+    for job, done in zip(parameters, runs_of_many(parameters), strict=True):
+        if isinstance(done, Exception):
+            found.append(done)
+        else:
+            figures, _, table = done
+            held = job["scenario"]["functions"] if job["trajectory"] else {}
+            symbols = [name for name, each in held.items() if each.get("controller")]
+            found.append({**figures, "steps_of": {name: of_one(table, name).to_pydict() for name in symbols}})
+    return found
 
 
-def runs_of_many(parameters: Sequence[Mapping[str, Any]]) -> "list[tuple[Row, Rollout | None] | Exception]":
-    """Figures and trace of each run of one kind, or its error.
+def runs_of_many(parameters: Sequence[Mapping[str, Any]]) -> "list[Done | Exception]":
+    """Figures, trace and table of each run of one kind, or its error.
 
     parameters: of each run scenario, inputs (`luxloop.loop.recording.manifest.digests` of its files, part of a job's identity) and device.
     """
@@ -176,7 +229,42 @@ def _all(params: CampaignParams) -> Iterator[RunParams]:
     yield from params.runs
 
 
-def _run(file: Path, params: CampaignParams, one: RunParams, allow_code: bool) -> Run:
+Draws = Mapping[str, ranges.Range | Sequence[Any]]
+
+
+def _draws(file: Path, params: CampaignParams, name: str) -> Draws:
+    """Ranges and lists of the table `draw` by key, for a scenario. Raises LuxloopError with the key and the remedy."""
+    scenario, found = load(name, [params.set], allow_code=True), dict[str, ranges.Range | Sequence[Any]]()
+    for key, given in _flat(params.draw):
+        if isinstance(given, str):
+            found[key] = ranges.parse(f"{key}={given}", [scenario], f"{file}: draw")
+        elif isinstance(given, list) and given:
+            found[key] = given
+        else:
+            raise LuxloopError(f'{file}: draw.{key}: {given!r} is neither a range nor a list; write for example "1:100" or [1, 2, 3]')
+    return found
+
+
+def _flat(table: Mapping[str, Any], within: str = "") -> Iterator[tuple[str, Any]]:
+    """Keys as `--set` takes them, `objects[0].albedo`, and values of nested tables."""
+    for name, value in table.items():
+        key = within + name if INDEX.fullmatch(name) else f"{within}.{name}".removeprefix(".")
+        if isinstance(value, dict):
+            yield from _flat(value, key)
+        else:
+            yield key, value
+
+
+def _drawn(draws: Draws, seed: int) -> dict[str, Any]:
+    """Values of a seed by key; each key has its own stream of random numbers, so that another key changes none."""
+    found = {}
+    for key, each in draws.items():
+        rng = np.random.default_rng([seed, *key.encode()])
+        found[key] = each.draw(rng) if isinstance(each, ranges.Range) else each[int(rng.integers(len(each)))]
+    return found
+
+
+def _run(file: Path, params: CampaignParams, one: RunParams, draws: Callable[[str], Draws], allow_code: bool) -> Run:
     if one.variant is not None and one.variant not in params.variants:
         raise LuxloopError(f"{file}: runs: there is no variant {one.variant!r}; write its keys below [variants.{one.variant}]")
     changes: list[dict[str, Any]] = [params.set, params.variants[one.variant] if one.variant else {}, {"seed": one.seed}]
@@ -188,7 +276,8 @@ def _run(file: Path, params: CampaignParams, one: RunParams, allow_code: bool) -
             changes.insert(0, {"functions": {held: {"controller": {"name": one.controller}}}})
         for each in changes:
             resolve_paths(each, file.parent)
-        scenario = load(name, changes, allow_code=True)
+        drawn = _drawn(draws(name), one.seed)
+        scenario = load(name, [*changes, *(f"{key}={json.dumps(value)}" for key, value in drawn.items())], allow_code=True)
         if not allow_code:  # changes come from a file, too
             refuse_code(scenario, one.scenario)
-        return Run(one, scenario)
+        return Run(one, scenario, drawn, params.trajectories)

@@ -1,81 +1,140 @@
-"""Report of a campaign as Markdown: means and worst cases over seeds, a picture, and failed runs."""
+"""Report of a campaign as Markdown: means with intervals, paired comparisons, limits of the controllers, pictures, and failed runs."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 from rich.table import Table
 
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.report.style import DEFAULTS, drawing
 from luxloop.loop.run import torch_device
-from luxloop.loop.studies.campaign import TABLE, Row, run_campaign
+from luxloop.loop.studies.campaign import TABLE, TRAJECTORIES, Row, run_campaign
 from luxloop.loop.studies.jobs import Results, dask, local
+from luxloop.loop.studies.statistics import Mean, holm, mean, paired
+from luxloop.world.arrays import read_parquet
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import atomic_write
 
-REPORT, PICTURE = "report.md", "report.png"
-# metric: (label, whether more is better)
+REPORT, PICTURE, RESPONSES = "report.md", "report.png", "responses.png"
+MOST_PANELS = 6  # columns of the picture of responses
+BAND = (10, 90)  # percentiles
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A metric on the page. lacking: what a run without a value counts as; "steps": all its steps; None: it does not count."""
+
+    label: str
+    more_is_better: bool
+    lacking: float | str | None = None
+
+    def of(self, row: Row, name: str) -> float | None:
+        """Value of a run with which means are made."""
+        value = row.get(name)
+        return value if value is not None else row["steps"] if self.lacking == "steps" else self.lacking  # type: ignore[return-value]
+
+
 SHOWN = {
-    "settle_step": ("settle step", False),
-    "overshoot_percent": ("overshoot in %", False),
-    "residual_percent": ("centroid error in %", False),
-    "iou_open": ("IoU without control, at the last step", True),
-    "iou_final": ("IoU, at the last step", True),
-    "iou_mean": ("IoU, mean of all evaluated steps", True),
-    "dark_lx_max": ("light on masked objects, lx", False),
-    "symbol_iou_min": ("least IoU of symbols", True),
-    "flux_lm_mean": ("flux of all lamps, lm", False),
-    "energy_j": ("energy, J", False),
-    "confidence_final_mean": ("confidence at the end", True),
-    "confidence_final_min": ("confidence at the end, least of all objects", True),
-    "eyes_lx_max_after_start_up": ("light on heads and windscreens, lx", False),
+    "settle_step": Metric("settle step", False, "steps"),
+    "overshoot_percent": Metric("overshoot in %", False),
+    "residual_percent": Metric("centroid error in %", False, 100.0),
+    "iou_open": Metric("IoU without control, at the last step", True, 0.0),
+    "iou_final": Metric("IoU, at the last step", True, 0.0),
+    "iou_mean": Metric("IoU, mean of all evaluated steps", True, 0.0),
+    "dark_lx_max": Metric("light on masked objects, lx", False),
+    "symbol_iou_min": Metric("least IoU of symbols", True, 0.0),
+    "flux_lm_mean": Metric("flux of all lamps, lm", False),
+    "energy_j": Metric("energy, J", False),
+    "confidence_final_mean": Metric("confidence at the end", True, 0.0),
+    "confidence_final_min": Metric("confidence at the end, least of all objects", True, 0.0),
+    "eyes_lx_max_after_start_up": Metric("light on heads and windscreens, lx", False),
 }
+SERIES = ("controller", "variant")
 
 
-def do_campaign(file: Path, out: Path | None, processes: int | None, scheduler: str | None, device: str, allow_code: bool) -> bool:
-    """Run a campaign, write its report, print its table and failed runs; returns whether all runs succeeded."""
-    if processes is not None and scheduler is not None:
-        raise LuxloopError("--jobs: applies to this machine, but --scheduler has its own workers; give one of the two")
-    folder = out or Path("runs") / file.stem
-    executor = local(processes) if scheduler is None else dask(scheduler)
-    campaign = run_campaign(file, folder, device=str(torch_device(device)), executor=executor, allow_code=allow_code)
-    for key, reason in campaign.failures.items():
-        tables.say(f"failed: {key}: {reason}", stderr=True)
-    write_report(file.stem, campaign, folder)
-    tables.show(overview(campaign))
-    print(f"{folder / TABLE} and {folder / REPORT} written")
-    return not campaign.failures
+def campaign(
+    file: Path | str,
+    folder: Path | str | None = None,
+    *,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    device: str = "auto",
+    allow_code: bool = False,
+) -> Results:
+    """Run a campaign file (docs/campaigns.md) and write table and report.
+
+    folder: by default runs/FILE; an interrupted campaign continues from there. jobs: processes, each with one thread; by default one per
+    core. scheduler: address of a Dask scheduler whose workers run the scenarios. device: "auto", "cpu" or "cuda". allow_code: whether
+    Python modules that the file names may run. The result has `rows`, one for each run as in runs.parquet, and `failures`, reasons by key
+    of a run. Raises LuxloopError for an invalid file, lost workers, or a folder with other files.
+    """
+    if jobs is not None and scheduler is not None:
+        raise LuxloopError("jobs: applies to this machine, but a scheduler has its own workers; give one of the two")
+    file = Path(file)
+    out = Path(folder or Path("runs") / file.stem)
+    executor = local(jobs) if scheduler is None else dask(scheduler)
+    results = run_campaign(file, out, device=str(torch_device(device)), executor=executor, allow_code=allow_code)
+    write_report(file.stem, results, out)
+    return results
 
 
 def write_report(name: str, campaign: Results, out: Path) -> None:
-    """Write page and picture into a folder. Raises LuxloopError on a write error."""
+    """Write page and pictures into a folder. Raises LuxloopError on a write error."""
     _draw(campaign, out / PICTURE)
-    atomic_write(out / REPORT, page(name, campaign))
+    steps = read_parquet(out / TRAJECTORIES) if (out / TRAJECTORIES).is_file() else None
+    if steps is not None:
+        _draw_responses(steps, out / RESPONSES)
+    atomic_write(out / REPORT, page(name, campaign, responses=steps is not None))
 
 
 def overview(campaign: Results) -> Table:
-    """Means and worst cases over seeds for the terminal."""
+    """Means over seeds with their intervals for the terminal."""
     return tables.plain(*_figures(campaign))
 
 
-def page(name: str, campaign: Results) -> str:
-    """The campaign as Markdown."""
-    table = tables.markdown_table(*_figures(campaign), "lllr")
+def page(name: str, campaign: Results, *, responses: bool = False) -> str:
+    """The campaign as Markdown. responses: whether there is a picture of the trajectories."""
+    columns, body = _figures(campaign)
+    compared, limits = _comparisons(campaign), _limits(campaign)
+    parts = [
+        f"# {name}",
+        f"{len(campaign.rows)} runs, {len(campaign.failures)} failed. Means over seeds with 95 % bootstrap intervals, the worst in round "
+        "brackets; runs that failed or lack a value count as IoU 0, a centroid error of 100 % and a settle step at their end. "
+        f"`{TABLE}` has all figures.",
+        tables.markdown_table(columns, body, "lllr"),
+        f"![Figures of all runs]({PICTURE})",
+    ]
+    if responses:
+        parts.append(f"![IoU and distance by step: medians and bands from {BAND[0]} to {BAND[1]} % of all seeds]({RESPONSES})")
+    if compared:
+        parts += [
+            "## Comparisons",
+            "Differences of runs with the same seed, with 95 % bootstrap intervals, and p of Wilcoxon's signed-rank test, corrected for "
+            "the number of comparisons of a metric (Holm).",
+            tables.markdown_table(["metric", "scenario", "of", "to", "pairs", "difference", "p"], compared, "llllrrr"),
+        ]
+    if limits:
+        head = [*dict.fromkeys(name for each in limits.values() for name in each)]
+        rows = [[key, *(_text(each.get(name)) for name in head)] for key, each in limits.items()]
+        parts += ["## Limits", "Limits in which the controllers differ:", tables.markdown_table(["key", *head], rows)]
     failed = "".join(f"- {key}: {reason}\n" for key, reason in campaign.failures.items())
-    runs = f"{len(campaign.rows)} runs, {len(campaign.failures)} failed."
-    note = f"{runs} Means over seeds, the worst in brackets; `{TABLE}` has all figures."
-    return f"# {name}\n\n{note}\n\n{table}\n\n![Figures of all runs]({PICTURE})\n" + (f"\n## Failed\n\n{failed}" if failed else "")
+    return "\n\n".join(parts) + "\n" + (f"\n## Failed\n\n{failed}" if failed else "")
 
 
 def _figures(campaign: Results) -> tuple[list[str], list[list[str]]]:
     """Column names, and a row for each scenario, controller and variant."""
-    kinds = _kinds(campaign)
-    body = [
-        [*names, str(len(some)), *(_over(some, kind) for kind in kinds)]
-        for names, some in _groups(campaign.rows, ("scenario", "controller", "variant"))
-    ]
-    return ["scenario", "controller", "variant", "seeds", *(SHOWN[kind][0] for kind in kinds)], body
+    kinds, held = _kinds(campaign), any("settle_step" in row for row in campaign.rows)
+    body = []
+    for names, some in _groups(campaign.rows, ("scenario", *SERIES)):
+        failed = sum(bool(row["error"]) for row in some)
+        settled = [f"{sum(row.get('settle_step') is not None for row in some)} of {len(some)}"] if held else []
+        body.append([*names, str(len(some)), str(failed), *settled, *(_over(some, kind) for kind in kinds)])
+    return ["scenario", *SERIES, "runs", "failed", *(["settled"] if held else []), *(SHOWN[kind].label for kind in kinds)], body
 
 
 def _kinds(campaign: Results) -> list[str]:
@@ -84,12 +143,57 @@ def _kinds(campaign: Results) -> list[str]:
 
 
 def _over(rows: Sequence[Row], kind: str) -> str:
-    values = [row[kind] for row in rows if row.get(kind) is not None]
+    metric = SHOWN[kind]
+    values = [value for row in rows if (value := metric.of(row, kind)) is not None]
     lacking = len(rows) - len(values)
     if not values:
         return "–"
-    worst = min(values) if SHOWN[kind][1] else max(values)
-    return f"{np.mean(values):.3g} ({worst:.3g})" + (f", none in {lacking}" if lacking else "")
+    worst = min(values) if metric.more_is_better else max(values)
+    return (
+        _interval(mean(values), len(values)) + (f" ({worst:.3g})" if len(values) > 1 else "") + (f", none in {lacking}" if lacking else "")
+    )
+
+
+def _interval(found: Mean, count: int) -> str:
+    return f"{found.value:.3g}" + (f" [{found.low:.3g}, {found.high:.3g}]" if count > 1 else "")
+
+
+def _comparisons(campaign: Results) -> list[list[str]]:
+    """Rows of comparisons: of each controller with the first one in the same variant, and of the first one's variants with the first."""
+    found = []
+    for kind in _kinds(campaign):
+        tests = []
+        for (scenario,), rows in _groups(campaign.rows, ("scenario",)):
+            series = {names: {row["seed"]: SHOWN[kind].of(row, kind) for row in some} for names, some in _groups(rows, SERIES)}
+            first_controller, first_variant = next(iter(series))
+            for controller, variant in series:
+                other = (first_controller, variant if controller != first_controller else first_variant)
+                if other == (controller, variant) or other not in series:
+                    continue
+                mine, others = series[controller, variant], series[other]
+                pairs = [(others[seed], mine[seed]) for seed in mine if mine[seed] is not None and others.get(seed) is not None]
+                if len(pairs) > 1 and any(a != b for a, b in pairs):
+                    difference, p = paired(*zip(*pairs, strict=True))
+                    tests.append((scenario, (controller, variant), other, len(pairs), difference, p))
+        for (scenario, of, to, count, difference, _), p in zip(tests, holm([each[-1] for each in tests]), strict=True):
+            names = (", ".join(filter(None, each)) for each in (of, to))
+            found.append([SHOWN[kind].label, scenario, *names, str(count), _interval(difference, count), f"{p:.2g}"])
+    return found
+
+
+def _limits(campaign: Results) -> Mapping[str, Mapping[str, Any]]:
+    """Limits by key and controller in which the controllers of a campaign differ."""
+    limits: dict[str, dict[str, Any]] = {}
+    for row in campaign.rows:
+        for key, value in row.items():
+            if key.startswith("limit.") and value is not None:
+                limits.setdefault(key.removeprefix("limit."), {})[row["controller"]] = value
+    controllers = {row["controller"] for row in campaign.rows}
+    return {key: each for key, each in limits.items() if len({*each.values()}) > 1 or each.keys() != controllers}
+
+
+def _text(value: Any) -> str:
+    return "–" if value is None else str(value)
 
 
 def _groups(rows: Iterable[Row], names: Sequence[str]) -> list[tuple[tuple[str, ...], list[Row]]]:
@@ -99,11 +203,38 @@ def _groups(rows: Iterable[Row], names: Sequence[str]) -> list[tuple[tuple[str, 
     return list(groups.items())
 
 
+def _draw_responses(steps: pa.Table, file: Path) -> None:
+    """IoU and distance of the centroid by step, a column for each scenario and variant: medians and bands of all seeds by controller."""
+    away = pc.sqrt(pc.add(*(pc.power(steps[f"centroid_error_{axis}_percent"], 2) for axis in "xy")))
+    rows = steps.append_column("away", away).select(["scenario", "variant", "controller", "step", "iou", "away"]).to_pylist()
+    panels = _groups(rows, ("scenario", "variant"))[:MOST_PANELS]
+    with drawing(file, (3.2 * len(panels) + 1.5, 5.0), DEFAULTS) as figure:
+        axes = figure.subplots(2, len(panels), sharex="col", sharey="row", squeeze=False)
+        for column, (names, rows) in enumerate(panels):
+            for number, ((controller,), mine) in enumerate(_groups(rows, ("controller",))):
+                for panel, key in zip(axes[:, column], ("iou", "away"), strict=True):
+                    by_step: dict[int, list[float]] = {}
+                    for row in mine:
+                        if row[key] is not None:
+                            by_step.setdefault(row["step"], []).append(row[key])
+                    at = sorted(by_step)
+                    low, middle, high = np.array([np.percentile(by_step[step], (BAND[0], 50, BAND[1])) for step in at]).reshape(-1, 3).T
+                    panel.fill_between(at, low, high, color=f"C{number}", alpha=0.2, lw=0)
+                    panel.plot(at, middle, color=f"C{number}", lw=1.2, label=controller)
+            axes[0, column].set_title(", ".join(filter(None, names)), fontsize=9)
+            axes[1, column].set_xlabel("step")
+        axes[0, 0].set(ylabel="IoU", ylim=(0, 1))
+        axes[1, 0].set(ylabel="distance of the centroid,\n% of the symbol", yscale="symlog", ylim=(0, None))
+        axes[0, -1].legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        for panel in axes.flat:
+            panel.grid(alpha=0.3)
+
+
 def _draw(campaign: Results, file: Path) -> None:
     """One panel per metric: scenarios along x, a colour for each controller and variant, a dot for each seed."""
     kinds = _kinds(campaign) or ["settle_step"]
     scenarios = list(dict.fromkeys(row["scenario"] for row in campaign.rows))
-    series = _groups(campaign.rows, ("controller", "variant"))
+    series = _groups(campaign.rows, SERIES)
     with drawing(file, (max(6.0, 1.2 * len(scenarios) + 3), 0.6 + 1.9 * len(kinds)), DEFAULTS) as figure:
         panels = figure.subplots(len(kinds), sharex=True, squeeze=False)[:, 0]
         for axes, kind in zip(panels, kinds, strict=True):
@@ -111,7 +242,7 @@ def _draw(campaign: Results, file: Path) -> None:
                 offset = 0.6 * ((number + 0.5) / len(series) - 0.5)
                 points = [(scenarios.index(row["scenario"]) + offset, row[kind]) for row in rows if row.get(kind) is not None]
                 axes.plot(*np.array(points).reshape(-1, 2).T, "o", ms=4, alpha=0.7, label=", ".join(filter(None, names)) or "all")
-            axes.set_ylabel(SHOWN[kind][0].replace(", ", ",\n"), fontsize=8)
+            axes.set_ylabel(SHOWN[kind].label.replace(", ", ",\n"), fontsize=8)
             axes.grid(alpha=0.3)
         panels[0].legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
         panels[-1].set_xticks(range(len(scenarios)), scenarios, rotation=30, ha="right", fontsize=8)

@@ -7,6 +7,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import torch
 from torch import Tensor
 
@@ -19,7 +20,7 @@ from luxloop.controllers.symbol.stages import RoadStage, StagedParams
 from luxloop.loop.recording.functions_summary import summary_of
 from luxloop.loop.recording.manifest import digests, table_of
 from luxloop.loop.recording.record import row, schema
-from luxloop.loop.recording.summary import column, steps_with_metrics
+from luxloop.loop.recording.response import response
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import Scenario, only
 from luxloop.loop.scenario.plant import SimulatedPlantParams
@@ -47,25 +48,31 @@ WORST = {  # figures of held symbols, with the function that picks the worst of 
 }
 
 
+Run = tuple[Figures, Rollout | None, pa.Table]
+
+
 def figures(scenario: Scenario, device: str = "auto") -> Figures:
     """Figures of a scenario's run: its summary, flat, such as `lamps.left.flux_lm_mean`; None for a value that does not exist.
 
-    flux_lm_mean is that of all lamps, utilisation_mean that of all pixels over all steps. If symbols are held, the figures in `WORST` also
-    exist without a name, for the worst symbol; iou_mean is then the mean of all evaluated steps, and residual_percent the final centroid
-    error in percent of the symbol's size. With a detector there are confidence_final_mean and confidence_final_min, over the objects in
-    sight at the end. Times are left out, so that a scenario always gives the same figures. Raises LuxloopError if the scenario cannot run.
+    flux_lm_mean is that of all lamps, utilisation_mean that of all pixels over all steps. Of each held symbol, residual_percent is the
+    final centroid error in percent of the symbol's size, and response has the figures of `luxloop.loop.recording.response`; the figures in
+    `WORST` also exist without a name, for the worst symbol. With a detector there are confidence_final_mean and confidence_final_min, over
+    the objects in sight at the end. Times are left out, so that a scenario always gives the same figures. Raises LuxloopError if the
+    scenario cannot run.
     """
     return figures_and_trace(scenario, device)[0]
 
 
-def figures_and_trace(scenario: Scenario, device: str = "auto") -> tuple[Figures, Rollout | None]:
-    """Figures of a run, and the trace of its only symbol as a batch of one; None if several or no symbols are held. Raises as `figures`."""
+def figures_and_trace(scenario: Scenario, device: str = "auto") -> Run:
+    """Figures of a run, the trace of its only symbol as a batch of one (None if several or no symbols are held), and the table of its
+    steps. Raises as `figures`.
+    """
     simulation = ready(scenario, device)
     return tabulate(simulation, ((result, _utilisation(result)) for result in simulation.evaluations()))
 
 
-def tabulate(simulation: Simulation, steps: Iterable[tuple[Evaluation, float]]) -> tuple[Figures, Rollout | None]:
-    """Figures and trace from the steps of a run, each with the mean utilisation of all pixels."""
+def tabulate(simulation: Simulation, steps: Iterable[tuple[Evaluation, float]]) -> Run:
+    """Figures, trace and table from the steps of a run, each with the mean utilisation of all pixels."""
     rows, utilisations, trace = [], list[float](), []
     last = dict[str, Evaluation]()
     name = only(simulation.controlled) if len(simulation.controlled) == 1 else None
@@ -83,13 +90,13 @@ def tabulate(simulation: Simulation, steps: Iterable[tuple[Evaluation, float]]) 
     values |= {"confidence_final_mean": float(np.mean(sure)), "confidence_final_min": min(sure)} if sure else {}
     for name, symbol in summary["functions"].items():
         x, y = symbol["centroid_error_percent"]
+        symbol["response"] = response(of_one(table, name))
         symbol["residual_percent"] = None if x is None or y is None else float(np.hypot(x, y))
-        ious = column(steps_with_metrics(of_one(table, name)), "iou")
-        symbol["iou_mean"] = float(ious.mean()) if len(ious) else None
     for figure, worst in WORST.items() if summary["functions"] else ():
         of_all = [symbol[figure] for symbol in summary["functions"].values()]
         values[figure] = None if None in of_all else worst(of_all)
-    return _flat(values), Rollout(*(torch.stack(part)[None] for part in zip(*trace, strict=True))) if trace else None
+    rollout = Rollout(*(torch.stack(part)[None] for part in zip(*trace, strict=True))) if trace else None
+    return _flat(values), rollout, table
 
 
 def _utilisation(result: Evaluation) -> float:
@@ -150,8 +157,6 @@ def _flat(values: dict[str, Any]) -> dict[str, Any]:
 LAWS = ("open", "thesis_pid", "gauss_newton")
 LEAST = 2  # copies
 
-Run = tuple[Figures, Rollout | None]
-
 
 def kind(scenario: Scenario) -> str | None:
     """Kind of a scenario, equal for scenarios that can run in one batch; None for a scenario that cannot (`refuse`).
@@ -187,7 +192,7 @@ def refuse(scenario: Scenario) -> None:
 
 
 def runs(scenarios: Sequence[Scenario], device: str = "cpu") -> list[Run]:
-    """Figures and trace of scenarios of one `kind`, equal to those of single runs up to single-precision rounding.
+    """Figures, trace and table of scenarios of one `kind`, equal to those of single runs up to single-precision rounding.
 
     A scenario whose symbol is lost, or lies on another road, runs again alone, since a single run then searches the whole image. Scenarios
     that need more than a window of the lamps' light run alone, since batches are no faster. device: to compute on. Raises LuxloopError if a

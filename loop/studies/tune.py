@@ -298,7 +298,7 @@ def _run_jobs(tasks: Sequence[tuple[int, dict[str, Any]]]) -> list[tuple[int, di
         if isinstance(done, Exception):
             found.append((number, {}, reason(done)))
         else:
-            figures, run = done
+            figures, run, _ = done
             found.append((number, figures, [] if run is None else [part[0].tolist() for part in vars(run).values()]))
     return found
 

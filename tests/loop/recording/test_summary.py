@@ -146,6 +146,6 @@ def test_nothing_seen_is_null_in_json(steps):
     summary = summarise(table(steps, **dict.fromkeys(numbers, math.nan)), "open", math.nan)
     written = json.loads(json.dumps(summary, allow_nan=False))
     assert written["shown_steps"] == steps
-    nothing = ("settle_step", "steady_step", "overshoot_percent", "iou_open", "iou_final", "iou_mean", "iou_min", "ssim_final", "z_m_final")
+    nothing = ("settle_step", "steady_step", "overshoot_percent", "iou_open", "iou_final", "iou_mean", "iou_second_half_min", "ssim_final")
     assert {key: written[key] for key in nothing} == dict.fromkeys(nothing)
     assert written["centroid_error_percent"] == [None, None]

@@ -10,14 +10,16 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
+import luxloop
 from luxloop.loop.commands import cli
 from luxloop.loop.studies import campaign, jobs
-from luxloop.loop.studies.campaign import JOBS, TABLE, read, run_campaign
+from luxloop.loop.studies.campaign import JOBS, TABLE, TRAJECTORIES, read, run_campaign
 from luxloop.loop.studies.campaign_report import page, write_report
-from luxloop.loop.studies.jobs import dask, local
+from luxloop.loop.studies.jobs import Results, dask, local
 from luxloop.loop.studies.runs import figures
 from tests.loop.conftest import assert_refused
 from tests.refusal import refusal
@@ -57,6 +59,48 @@ def test_a_grid_and_a_list_become_runs_with_their_scenarios(tmp_path):
     assert next(run for run in runs if run.key == "mine, open, soon, seed 5").scenario.camera.latency_steps == 0
 
 
+DRAWN = """
+scenarios = ["flat"]
+controllers = ["open", "thesis_pid"]
+seeds = [0, 1, 2]
+draw.functions.symbol.start.x_m = "14.0:20.0"
+draw.camera.read_noise_e = [1.0, 2.0]
+"""
+
+
+def test_a_seed_draws_the_same_world_for_all_controllers(tmp_path):
+    runs = read(written(tmp_path, DRAWN))
+    starts = {(run.row["controller"], run.params.seed): run.scenario.functions["symbol"].start.x_m for run in runs}
+    assert all(starts["open", seed] == starts["thesis_pid", seed] for seed in range(3))
+    assert len({*starts.values()}) == 3 and all(14.0 <= each <= 20.0 for each in starts.values())
+    assert all(run.scenario.camera.read_noise_e == run.row["draw.camera.read_noise_e"] in (1.0, 2.0) for run in runs)
+    without = read(written(tmp_path, DRAWN.replace("draw.camera.read_noise_e = [1.0, 2.0]", "")))
+    assert [run.drawn["functions.symbol.start.x_m"] for run in without] == [run.drawn["functions.symbol.start.x_m"] for run in runs]
+
+
+def test_steps_and_comparisons_of_drawn_worlds_are_written(tmp_path):
+    file = written(tmp_path, DRAWN + "trajectories = true\n")
+    found = luxloop.campaign(file, tmp_path / "out", jobs=1)
+    assert not found.failures
+    steps = pq.read_table(tmp_path / "out" / TRAJECTORIES)
+    assert steps.num_rows == 6 * 3 and set(steps["controller"].to_pylist()) == {"open", "thesis_pid"}
+    for row in found.rows:
+        mine = steps.filter((pc.field("controller") == row["controller"]) & (pc.field("seed") == row["seed"]))
+        assert mine["iou"].to_numpy().mean() == pytest.approx(row["iou_mean"]) == row["functions.symbol.iou_mean"]
+    assert (tmp_path / "out" / "responses.png").stat().st_size > 5_000
+    text = (tmp_path / "out" / "report.md").read_text()
+    assert "| IoU, at the last step | flat | thesis_pid | open | 3 |" in text and "## Limits" in text
+
+
+def test_a_failed_run_counts_in_the_mean():
+    rows = [{"scenario": "a", "controller": "c", "variant": "", "seed": k, "steps": 10, "error": ""} for k in range(2)]
+    rows[0] |= {"iou_mean": 0.8, "settle_step": 4}
+    rows[1] |= {"error": "lost"}
+    text = page("it", Results(rows, {"a, c, seed 1": "lost"}))
+    (line,) = (each for each in text.splitlines() if each.startswith("| a |"))
+    assert [each.strip() for each in line.split("|")[4:9]] == ["2", "1", "1 of 2", "7 [4, 10] (10)", "0.4 [0, 0.8] (0)"]
+
+
 def test_controllers_of_ones_own_are_found_beside_the_campaign(tmp_path):
     (tmp_path / "beside_it.py").write_text("")
     (run,) = read(written(tmp_path, 'scenarios = ["flat"]\ncontrollers = ["beside_it:Law"]\n'), allow_code=True)
@@ -81,6 +125,8 @@ def test_the_example_is_what_the_docs_show():
         (f'scenarios = ["flat"]\nseeds = {list(range(100_001))}', "names 100,001 runs, more than 100,000; split it"),
         ('scenarios = ["nul\\u0000"]', "a text has a NUL character"),
         ('scenarios = ["flat"]\nseeds = [-1]', r"seeds\[0\]: -1 should be greater than or equal to 0"),
+        ('scenarios = ["flat"]\ndraw.camera.read_noise_e = 3.0', r"draw\.camera\.read_noise_e: 3\.0 is neither a range nor a list"),
+        ('scenarios = ["flat"]\ndraw.camera.read_nois_e = "1:2"', r"draw .*read_nois_e"),
         ('scenarios = ["flat", "./flat.toml"]', "two different runs are both called 'flat, thesis_pid, seed 0'"),
     ],
 )

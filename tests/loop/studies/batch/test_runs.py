@@ -61,8 +61,8 @@ def test_each_of_a_batch_is_the_single_run(law, common):
     copies = Copies(ready(given[0], "cpu"))
     simulations = [with_controllers(copies.simulation, each) for each in given]
     assert len(batch._steps(copies, simulations)[1]) <= 1, "few of them lose their symbol, and are run alone"
-    for each, (figures, rollout) in zip(given, batch.runs(given), strict=True):
-        expected, alone = figures_and_trace(each, "cpu")
+    for each, (figures, rollout, _) in zip(given, batch.runs(given), strict=True):
+        expected, alone, _ = figures_and_trace(each, "cpu")
         assert rollout is not None and alone is not None
         # Sums are rounded in another order; a digital number that this turns by one moves a pose by some 1e-4 m, and this loop, which
         # overshoots by half, swells that to some mm.
@@ -81,15 +81,15 @@ def test_what_searches_for_its_symbol_is_run_alone():
     given = [scenario(), scenario(*lost), scenario(seed=1)]
     copies = Copies(ready(given[0], "cpu"))
     assert batch._steps(copies, [with_controllers(copies.simulation, each) for each in given])[1] == {1}
-    figures, rollout = batch.runs(given)[1]
-    expected, alone = figures_and_trace(given[1], "cpu")
+    figures, rollout, _ = batch.runs(given)[1]
+    expected, alone, _ = figures_and_trace(given[1], "cpu")
     assert figures == expected and rollout is not None and alone is not None and torch.equal(rollout.poses, alone.poses)
 
 
 @pytest.mark.slow
 def test_light_of_whole_lamps_is_run_one_by_one():
     given = [scenario("headlight.model=ssl-hd-lores", "lighting.base.beam=low", seed=k) for k in (0, 1)]
-    assert [figures for figures, _ in batch.runs(given)] == [figures_and_trace(each, "cpu")[0] for each in given]
+    assert [figures for figures, *_ in batch.runs(given)] == [figures_and_trace(each, "cpu")[0] for each in given]
 
 
 def test_a_kind_has_one_world_and_one_law():
