@@ -120,6 +120,7 @@ def tune(
     jobs: Count | None = None,
     device: Device = "auto",
     gradient: bool = False,
+    robust: bool = False,
     allow_code: AllowCode = False,
 ) -> None:
     """Tune keys of a scenario, such as a controller's gains, and write the best values as a file for --set.
@@ -131,7 +132,7 @@ def tune(
     key
         Keys to tune and their ranges, as key=low:high or key=low:high:log, such as functions.symbol.controller.position.kp=0.1:2.
     objective
-        What to minimise: settling, overshoot, residual, iou and energy, weighted as in settling+0.5*overshoot.
+        What to minimise: settling, overshoot, residual, iou, effort and energy, weighted as in settling+0.5*overshoot.
     trials
         Total number of trials, earlier ones included.
     seeds
@@ -151,6 +152,9 @@ def tune(
     gradient
         Use gradient descent on predictions learned from the runs, one trial per iteration; for gains and rate limits of thesis_pid where
         nothing moves.
+    robust
+        Also run each trial with 0.8 and 1.25 times the plant's gain, and with one more step of latency; the cost is the mean of their mean
+        and their worst. For thesis_pid.
     """
     scenarios = tuple(scenario_of(name, set, controller, allow_code=allow_code) for name in names)
     from luxloop.loop.run import torch_device
@@ -163,7 +167,7 @@ def tune(
     cost = objectives.parse(objective)
     for scenario in scenarios:
         cost.refuse(scenario)
-    task = Task(scenarios, tuned, cost, seeds, seed, str(torch_device(device)))
+    task = Task(scenarios, tuned, cost, seeds, seed, str(torch_device(device)), robust)
     played_by = shlex.join([names[0], *([] if controller is None else ["--controller", controller]), *(["--set", *set] if set else [])])
     do_tune(task, out or Path("runs") / f"tune-{Path(names[0]).stem}", trials, jobs, gradient, played_by)
 

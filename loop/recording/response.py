@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from luxloop.loop.recording.summary import AXES, LEAST_START_PERCENT, Summary, column, steps_with_metrics
 
 RISEN = 0.1  # share of the initial error at which a response has risen
+LEAST_WAY_M = 0.05  # of a pose whose effort counts
 DARK_PERCENT = 100.0  # error on the road in a step without light
 
 
@@ -26,6 +27,13 @@ def response(table: pa.Table) -> Summary:
         "road": _of_error(column(evaluated, "time_s"), np.nan_to_num(away, nan=DARK_PERCENT), LEAST_START_PERCENT),
         "camera": _of_error(column(table, "time_s")[seen], measured[seen], 0.0),
     }
+
+
+def effort(table: pa.Table) -> float | None:
+    """Length of the path of a symbol's pose along x and y, relative to the way from its first to its last pose; None without a way."""
+    places = np.stack([column(table, "x_m"), column(table, "y_m")], -1)
+    way = float(np.linalg.norm(places[-1] - places[0])) if len(places) else 0.0
+    return float(np.linalg.norm(np.diff(places, axis=0), axis=-1).sum()) / way if way > LEAST_WAY_M else None
 
 
 def _of_error(times_s: NDArray[np.floating], error: NDArray[np.floating], least_start: float) -> Summary:

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 import optuna
 import torch
 from optuna.trial import create_trial
@@ -119,6 +118,8 @@ def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) 
 
     Raises as `luxloop.loop.studies.tune.tune` and `luxloop.loop.studies.batch.rollouts.check`, and LuxloopError if a symbol is never seen.
     """
+    if task.robust:
+        raise LuxloopError("--gradient: predicts one plant, not the perturbed ones of --robust; leave out either")
     if whole := [each.key for each in task.ranges if each.whole]:
         raise LuxloopError(f"--key {whole[0]}: takes whole numbers, which have no gradient; leave it out, or tune without --gradient")
     simulations = []
@@ -141,7 +142,7 @@ def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) 
                     values = descend(task, simulations, _before(task, study))
                     costs, traces, settled = run_all(task, task.runs(values), execute)
                     kept = {TRACES: traces, FAILURES: failure_reasons(traces), SETTLED: settled}
-                    study.add_trial(create_trial(params=values, distributions=space, value=float(np.mean(costs)), user_attrs=kept))
+                    study.add_trial(create_trial(params=values, distributions=space, value=task.cost(costs), user_attrs=kept))
                 done = trial_count(study)
                 advance(done - shown)
                 shown = done

@@ -17,6 +17,7 @@ TERMS = {
     "overshoot": ("overshoot_percent", lambda value, row: value / 100, "overshoot, as a share of the initial error"),
     "residual": ("residual_percent", lambda value, row: value / 10, "centroid error at the end, in tenths of the symbol's size"),
     "iou": ("iou_mean", lambda value, row: 1 - value, "1 - IoU, mean of all evaluated steps"),
+    "effort": ("effort", lambda value, row: value - 1, "path of the symbol's pose along x and y, as a share of the way, less 1"),
     "energy": ("utilisation_mean", lambda value, row: value, "utilisation of all pixels, mean of all steps"),
 }
 
@@ -63,6 +64,6 @@ def _term(name: str, row: Figures) -> float:
     figure, of, _ = TERMS[name]
     value = row.get(figure)
     if value is None:
-        # A run that starts at the target has no overshoot, and one whose symbol is never seen neither.
-        return 0.0 if name == "overshoot" and row.get("residual_percent") is not None else FAILED
+        # A run that starts at the target has no overshoot and no way to go, and one whose symbol is never seen neither.
+        return 0.0 if name in ("overshoot", "effort") and row.get("residual_percent") is not None else FAILED
     return min(float(of(value, row)), FAILED)

@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
-from luxloop.controllers.symbol.feedback import FeedbackParams
 from luxloop.controllers.symbol.sensing.field import cut
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
@@ -20,7 +19,7 @@ from luxloop.controllers.symbol.stages import RoadStage, StagedParams
 from luxloop.loop.recording.functions_summary import summary_of
 from luxloop.loop.recording.manifest import digests, table_of
 from luxloop.loop.recording.record import row, schema
-from luxloop.loop.recording.response import response
+from luxloop.loop.recording.response import effort, response
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import Scenario, only
 from luxloop.loop.scenario.plant import SimulatedPlantParams
@@ -42,6 +41,7 @@ WORST = {  # figures of held symbols, with the function that picks the worst of 
     "settle_step": max,
     "overshoot_percent": max,
     "residual_percent": max,
+    "effort": max,
     "iou_open": min,
     "iou_final": min,
     "iou_mean": min,
@@ -55,7 +55,7 @@ def figures(scenario: Scenario, device: str = "auto") -> Figures:
     """Figures of a scenario's run: its summary, flat, such as `lamps.left.flux_lm_mean`; None for a value that does not exist.
 
     flux_lm_mean is that of all lamps, utilisation_mean that of all pixels over all steps. Of each held symbol, residual_percent is the
-    final centroid error in percent of the symbol's size, and response has the figures of `luxloop.loop.recording.response`; the figures in
+    final centroid error in percent of the symbol's size, response and effort are as in `luxloop.loop.recording.response`; the figures in
     `WORST` also exist without a name, for the worst symbol. With a detector there are confidence_final_mean and confidence_final_min, over
     the objects in sight at the end. Times are left out, so that a scenario always gives the same figures. Raises LuxloopError if the
     scenario cannot run.
@@ -92,6 +92,7 @@ def tabulate(simulation: Simulation, steps: Iterable[tuple[Evaluation, float]]) 
         x, y = symbol["centroid_error_percent"]
         symbol["response"] = response(of_one(table, name))
         symbol["residual_percent"] = None if x is None or y is None else float(np.hypot(x, y))
+        symbol["effort"] = effort(of_one(table, name))
     for figure, worst in WORST.items() if summary["functions"] else ():
         of_all = [symbol[figure] for symbol in summary["functions"].values()]
         values[figure] = None if None in of_all else worst(of_all)
@@ -173,7 +174,7 @@ def kind(scenario: Scenario) -> str | None:
         "disturbances": {"ambient", "noise", "drops"},
         "functions": {only(scenario.symbols): {"controller", "start"}},
     }
-    law = [params and params.name, params.dof if isinstance(params, FeedbackParams) else None]
+    law = [params and params.name, *(getattr(params, name, None) for name in ("dof", "gain_schedule"))]
     return json.dumps([scenario.model_dump_json(exclude=numbers), *law])
 
 

@@ -19,10 +19,11 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState, create_trial
 
+from luxloop.controllers.symbol.feedback import ThesisPidParams
 from luxloop.loop.recording.manifest import digests
 from luxloop.loop.recording.sources import digest_of_code
 from luxloop.loop.report.terminal import progress
-from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.model import Scenario, only
 from luxloop.loop.studies.campaign import kind_of, runs_of_many
 from luxloop.loop.studies.jobs import Executor, bundles, reason
 from luxloop.loop.studies.objective import Objective
@@ -103,6 +104,7 @@ def _open(file: Path, digest: str) -> optuna.Study:
 FAILURES = "failures"
 SETTLED = "settled"  # attribute: number of a trial's runs that settled
 TRACES = "traces"  # attribute: traces of a trial's runs
+PLANTS = ((1.0, 0), (0.8, 0), (1.25, 0), (1.0, 1))  # factor on the plant's gain, additional latency in steps
 APART = 1_000_003  # distance between the trial seeds of two searches
 STARTUP = 8  # random trials before the sampler uses results
 Runs = list[dict[str, Any]]  # scenario, digests of its files (inputs) and device of each
@@ -114,7 +116,8 @@ PartResult = tuple[list[float], list[Trace], int]  # costs, traces, number of ru
 class Task:
     """A tuning task.
 
-    seeds: number of runs of each scenario per trial, from the scenario's own seed on. seed: of the search.
+    seeds: number of runs of each scenario per trial, from the scenario's own seed on. seed: of the search. robust: whether each of these
+    runs is repeated on the perturbed `PLANTS`.
     """
 
     scenarios: tuple[Scenario, ...]
@@ -123,6 +126,7 @@ class Task:
     seeds: int = 1
     seed: int = 0
     device: str = "cpu"
+    robust: bool = False
 
     @property
     def digest(self) -> str:
@@ -134,6 +138,7 @@ class Task:
             self.objective.weights,
             self.seeds,
             self.seed,
+            self.plants,
         ]
         return hashlib.sha256(json.dumps([*what, self.device, digest_of_code()]).encode()).hexdigest()
 
@@ -148,14 +153,47 @@ class Task:
         found = {each.key: {value_of(scenario, each.key) for scenario in self.scenarios} for each in self.ranges}
         return {key: values.pop() if len(values) == 1 else None for key, values in found.items()}
 
+    @property
+    def plants(self) -> tuple[tuple[float, int], ...]:
+        """Factor on the plant's gain and additional latency in steps of each plant on which a run takes place, the nominal one first."""
+        return PLANTS if self.robust else PLANTS[:1]
+
     def runs(self, values: Values) -> Runs:
-        """All runs of a trial, seed by seed."""
-        varied = [with_values(scenario, values) for scenario in self.scenarios]
+        """All runs of a trial, seed by seed, those on the `plants` together."""
+        varied = [[perturbed(with_values(scenario, values), *plant) for plant in self.plants] for scenario in self.scenarios]
         return [
             {"scenario": {**each.model_dump(mode="json"), "seed": each.seed + k}, "inputs": files, "device": self.device}
             for k in range(self.seeds)
-            for each, files in zip(varied, self.inputs, strict=True)
+            for plants, files in zip(varied, self.inputs, strict=True)
+            for each in plants
         ]
+
+    def halves(self, runs: Runs) -> tuple[Runs, Runs]:
+        """The runs before a trial may be pruned, and those after."""
+        half = -(-len(runs) // len(self.plants) // 2) * len(self.plants)
+        return runs[:half], runs[half:]
+
+    def cost(self, costs: Sequence[float]) -> float:
+        """Cost of a trial: the mean over scenarios and seeds of a run's cost; of several plants the mean of their mean and their worst."""
+        of_plants = np.reshape(costs, (-1, len(self.plants)))
+        return float((of_plants.mean(1) + of_plants.max(1)).mean() / 2)
+
+
+def perturbed(scenario: Scenario, gain: float, latency: int) -> Scenario:
+    """A scenario whose plant has `gain` times its gain, as its thesis_pid has `gain` times its gains, and so many more steps of latency.
+
+    Raises LuxloopError for another controller.
+    """
+    if (gain, latency) == PLANTS[0]:
+        return scenario
+    symbol, key = scenario.symbol, f"functions.{only(scenario.symbols)}.controller"
+    if not isinstance(symbol.controller, ThesisPidParams) or symbol.controller.gain_schedule:
+        raise LuxloopError(
+            f"{scenario.name}: {key}: --robust scales fixed gains of thesis_pid; set {key}.name = 'thesis_pid', or leave it out"
+        )
+    given = {kind: getattr(symbol.controller, kind) for kind in ("position", "rotation")}
+    loops = {f"{key}.{kind}.{name}": gain * getattr(given[kind], name) for kind in given for name in ("kp", "ki", "kd")}
+    return with_values(scenario, {**loops, "camera.latency_steps": scenario.camera.latency_steps + latency})
 
 
 @dataclass(frozen=True)
@@ -229,32 +267,31 @@ def _next_trials(study: optuna.Study, space: dict[str, BaseDistribution], task: 
 
 def _try(study: optuna.Study, trials: Sequence[optuna.Trial], task: Task, execute: Executor) -> None:
     """Run some trials, which may be pruned after half of their runs; the same runs for any number of processes."""
-    runs = [task.runs(trial.params) for trial in trials]
-    half = -(-len(runs[0]) // 2)
+    halves = [task.halves(task.runs(trial.params)) for trial in trials]
     left = []
-    for trial, given, first in zip(trials, runs, run_parts(task, [each[:half] for each in runs], execute), strict=True):
+    for trial, (_, rest), first in zip(trials, halves, run_parts(task, [each for each, _ in halves], execute), strict=True):
         costs, traces, settled = first
         trial.set_user_attr(FAILURES, failure_reasons(traces))
         trial.set_user_attr(SETTLED, settled)
-        if len(given) == half:
-            study.tell(trial, float(np.mean(costs)))
+        if not rest:
+            study.tell(trial, task.cost(costs))
             continue
-        trial.report(float(np.mean(costs)), 0)
+        trial.report(task.cost(costs), 0)
         if trial.should_prune():
             study.tell(trial, state=TrialState.PRUNED)
         else:
-            left.append((trial, given[half:], first))
+            left.append((trial, rest, first))
     for (trial, _, first), more in zip(left, run_parts(task, [rest for _, rest, _ in left], execute), strict=True):
         trial.set_user_attr(FAILURES, failure_reasons(first[1] + more[1]))
         trial.set_user_attr(SETTLED, first[2] + more[2])
-        study.tell(trial, float(np.mean(first[0] + more[0])))
+        study.tell(trial, task.cost(first[0] + more[0]))
 
 
 def note_batches(task: Task, workers: int, gradient: bool) -> str | None:
     """Sizes of a study's batches, in words; None without batches."""
     runs = task.runs({})
-    half = -(-len(runs) // 2)
-    random, later = (max(map(len, places_of(some, workers))) for some in (runs[:half] * STARTUP, runs if gradient else runs[:half]))
+    first, _ = task.halves(runs)
+    random, later = (max(map(len, places_of(some, workers))) for some in (first * STARTUP, runs if gradient else first))
     found = [f"up to {random} in the first {STARTUP} trials"] if random > 1 and not gradient else []
     found += [f"up to {later} in {'the others' if found else 'all trials'}"] if later > 1 else []
     return f"runs in batches of {', of '.join(found)}" if found else None
@@ -316,7 +353,7 @@ def begin(study: optuna.Study, task: Task, out: Path, execute: Executor) -> dict
             raise LuxloopError(f"every run with the given values fails, so there is nothing to tune; the first: {reasons[0]}")
         study.set_user_attr(TRACES, traces)
         study.set_user_attr(SETTLED, settled)
-        study.set_user_attr("given_cost", float(np.mean(costs)))
+        study.set_user_attr("given_cost", task.cost(costs))
     space: dict[str, BaseDistribution] = {
         each.key: IntDistribution(int(each.low), int(each.high), each.log)
         if each.whole

@@ -1,5 +1,7 @@
 """Tuning with its report: history of the cost, importance of keys, best and given values."""
 
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shlex import quote
 
@@ -14,11 +16,15 @@ from luxloop.loop.report.terminal import number, plural
 from luxloop.loop.studies import objective, ranges
 from luxloop.loop.studies.gradient import tune_by_gradient
 from luxloop.loop.studies.jobs import local
+from luxloop.loop.studies.margins import LOOPS, LinearLoops, identify, worst
+from luxloop.loop.studies.ranges import with_values
 from luxloop.loop.studies.tune import STUDY, Task, Tuning, note_batches, tune
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import atomic_write, lock_file
 
-BEST, REPORT, PICTURE = "best.toml", "report.md", "report.png"
+BEST, REPORT, PICTURE, RESPONSES = "best.toml", "report.md", "report.png", "responses.png"
+STEPS = 40  # of a step response
+MARGINS = ("loop", "gain margin", "phase margin, °", "Ms", "bandwidth, Hz")
 LEAST_FOR_IMPORTANCES = 10  # trials
 
 
@@ -33,8 +39,10 @@ def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradie
     if note := note_batches(task, execute.workers, gradient):
         tables.say(note, stderr=True)
     tuned = (tune_by_gradient if gradient else tune)(task, folder, trials, execute)
-    write(tuned, folder)
+    margins = write(tuned, folder)
     tables.show(tables.plain(("key", "given", "best"), ((f"[bold]{key}[/]", *told) for key, *told in _rows(tuned))))
+    if margins:
+        tables.show(tables.plain(MARGINS, margins))
     if notes := _notes(tuned):
         print(notes.strip())
     if tuned.best[0]:
@@ -44,8 +52,10 @@ def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradie
     return tuned
 
 
-def write(tuned: Tuning, out: Path) -> None:
-    """Write best values, page and picture into a folder. Raises LuxloopError on a write error."""
+def write(tuned: Tuning, out: Path) -> list[list[str]]:
+    """Write best values, page and pictures into a folder; returns the table of margins. Raises LuxloopError on a write error."""
+    loops = linear_loops(tuned)
+    margins = _margins(loops)
     with lock_file(out / STUDY):  # the last process to write then has all trials
         values, cost = tuned.best
         head = (
@@ -56,10 +66,36 @@ def write(tuned: Tuning, out: Path) -> None:
         else:
             (out / BEST).unlink(missing_ok=True)
         _draw(tuned, out / PICTURE)
-        atomic_write(out / REPORT, page(tuned))
+        if loops:
+            _draw_responses(loops, out / RESPONSES)
+        atomic_write(out / REPORT, page(tuned, margins))
+    return margins
 
 
-def page(tuned: Tuning) -> str:
+def linear_loops(tuned: Tuning) -> dict[str, list[LinearLoops]]:
+    """Linear loops of the given and the best values in each scenario with an identified plant."""
+    sets = {"given": {}, **({"best": tuned.best[0]} if tuned.best[0] else {})}
+    found: dict[str, list[LinearLoops]] = {}
+    for scenario in tuned.task.scenarios:
+        for name, values in sets.items():
+            varied = with_values(scenario, values)
+            if (plant := identify(varied, tuned.task.device)) is not None:
+                found.setdefault(name, []).append(LinearLoops.of(varied, plant))
+    return found
+
+
+def _margins(loops: Mapping[str, Sequence[LinearLoops]]) -> list[list[str]]:
+    """The worst margins over the scenarios, a row for each set of values and loop."""
+    return [
+        [f"{loop}, {name}", *(number(None if math.isnan(value) else value, ".3g") for value in vars(each).values())]
+        if each.gain
+        else [f"{loop}, {name}", "unstable", "", "", ""]
+        for name, of in loops.items()
+        for loop, each in worst([one.margins() for one in of]).items()
+    ]
+
+
+def page(tuned: Tuning, margins: Sequence[Sequence[str]]) -> str:
     """The study as Markdown."""
     task = tuned.task
     pruned = sum(trial.state == TrialState.PRUNED for trial in tuned.trials)
@@ -75,7 +111,15 @@ def page(tuned: Tuning) -> str:
         f"{plural(len(tuned.trials), 'trial')} ({pruned} pruned halfway) of {names} with {plural(task.seeds, 'seed')} each.{_notes(tuned)}"
     )
     table = tables.markdown_table(("key", "range", "given", "best", "importance"), [*rows, ["cost", "", *costs, ""]], "llr")
-    return f"# Tuning\n\n{what} The cost is `{task.objective}`:\n\n{terms}\n{table}\n\n![History, and cost over each key]({PICTURE})\n"
+    robust = ", of 0.8, 1 and 1.25 times the plant's gain and one more step of latency the mean of their mean and worst" * task.robust
+    text = (
+        f"# Tuning\n\n{what} The cost is `{task.objective}`{robust}:\n\n{terms}\n{table}\n\n![History, and cost over each key]({PICTURE})\n"
+    )
+    if not margins:
+        return text
+    about = "Of the loops on the linear plant identified at the target; the worst over the scenarios."
+    caption = f"Error after a unit step of the road; bands over all scenarios and perturbed plants]({RESPONSES})"
+    return f"{text}\n## Margins\n\n{about}\n\n{tables.markdown_table(MARGINS, margins, 'l')}\n\n![{caption}\n"
 
 
 def _rows(tuned: Tuning) -> list[tuple[str, str, str]]:
@@ -88,7 +132,9 @@ def _rows(tuned: Tuning) -> list[tuple[str, str, str]]:
 def _notes(tuned: Tuning) -> str:
     failures = tuned.failures
     failed = f" {len(failures)} {'runs' if len(failures) > 1 else 'run'} failed, the first: {failures[0]}." if failures else ""
-    return failed + (" No trial settled; raise steps." if tuned.never_settles else "")
+    one_road = len({each.road for each in tuned.task.scenarios}) == 1
+    roads = " All runs are on one road, and other roads have other plant gains; name scenarios with several roads." * one_road
+    return failed + (" No trial settled; raise steps." if tuned.never_settles else "") + roads
 
 
 def _importances(tuned: Tuning) -> dict[str, float]:
@@ -125,3 +171,20 @@ def _draw(tuned: Tuning, file: Path) -> None:
                 axes.plot(values[each.key], cost, "*", ms=11, color="tab:orange")
             axes.set_xscale("log" if each.log else "linear")
             axes.set_xlabel(each.key, fontsize=8)
+
+
+def _draw_responses(loops: Mapping[str, Sequence[LinearLoops]], file: Path) -> None:
+    """Error of each loop after a unit step of the road: nominal of the first scenario, and the band over all scenarios and plants."""
+    with drawing(file, (9.0, 2.6), DEFAULTS) as figure:
+        panels = figure.subplots(1, len(LOOPS), sharey=True)
+        for name, colour in zip(loops, ("tab:red", "tab:orange"), strict=False):
+            responses = np.concatenate([each.step_responses(STEPS) for each in loops[name]])  # [scenarios * plants, 4, steps]
+            for k, axes in enumerate(panels):
+                axes.fill_between(range(STEPS), responses[:, k].min(0), responses[:, k].max(0), color=colour, alpha=0.25, lw=0)
+                axes.plot(responses[0, k], color=colour, label=name)
+        for axes, loop in zip(panels, LOOPS, strict=True):
+            axes.set_title(loop)
+            axes.set_xlabel("step")
+            axes.set_ylim(-1.1, 1.1)
+        panels[0].set_ylabel("error")
+        panels[0].legend(fontsize=7)

@@ -103,6 +103,7 @@ def test_objectives_weigh_terms_and_failures_are_dear():
     row = {"steps": 40, "settle_step": 10, "overshoot_percent": 20.0, "residual_percent": 5.0, "iou_mean": 0.75, "utilisation_mean": 0.1}
     assert objective.parse("settling+0.5*overshoot + 2*residual+iou+energy").cost(row) == pytest.approx(0.25 + 0.1 + 1.0 + 0.25 + 0.1)
     assert str(objective.parse("settling+0.5*overshoot")) == "settling+0.5*overshoot"
+    assert objective.parse("effort").cost({**row, "effort": 1.25}) == pytest.approx(0.25)
     never = {**row, "settle_step": None}
     for name in objective.TERMS:
         assert objective.parse(name).cost({}) == objective.FAILED
@@ -207,6 +208,24 @@ def test_another_search_has_other_trials(tuned, scenario, tmp_path):
     assert not {str(values) for values, _, _ in others} & {str(values) for values, _, _ in own}
 
 
+def test_robust_trials_also_run_on_perturbed_plants(scenario, tmp_path):
+    key = "functions.symbol.controller.position.kp"
+    robust = replace(task(scenario, 1, f"{key}=0.1:2"), robust=True)
+    runs = [each["scenario"] for each in robust.runs({key: 0.5})]
+    gains = [each["functions"]["symbol"]["controller"]["position"]["kp"] for each in runs]
+    latencies = [each["camera"]["latency_steps"] for each in runs]
+    assert list(zip(gains, latencies, strict=True)) == [(0.5, 0), (0.4, 0), (0.625, 0), (0.5, 1)]
+    assert [len(half) for half in replace(robust, seeds=3).halves(replace(robust, seeds=3).runs({}))] == [8, 4]
+    assert robust.cost([1.0, 1.0, 1.0, 2.0]) == pytest.approx((1.25 + 2) / 2)
+    tuned = tune(robust, tmp_path / "robust", 1, local(1))
+    assert tuned.given_cost == pytest.approx(trials(tuned)[0][1])
+    with refusal(r"--gradient: .*leave out either"):
+        gradient.tune_by_gradient(robust, tmp_path / "gradient", 1, local(1))
+    other = load("flat", [*SMALL, "functions.symbol.controller.name=gauss_newton"])
+    with refusal(r"functions\.symbol\.controller: --robust scales fixed gains of thesis_pid"):
+        replace(task(other, 1, "functions.symbol.controller.gain=0.1:0.9"), robust=True).runs({})
+
+
 FRAIL = """
 from luxloop.controllers.symbol.heights.feedforward import OpenLoop
 from luxloop.world.errors import LuxloopError
@@ -275,7 +294,8 @@ def test_other_settings_need_another_folder(tmp_path):
 def test_command(lux):
     given = ["--objective", "settling", "--trials", "2", "--jobs", "1", "--set", *SMALL, "functions.symbol.controller.name=thesis_pid"]
     code, out, error = lux("tune", "flat", "--key", *KEYS, *given)
-    assert code == 0 and "runs/tune-flat" in out and "No trial settled; raise steps." in out
+    assert code == 0 and "runs/tune-flat" in out and "No trial settled; raise steps. All runs are on one road" in out
+    assert "coupled, given" in out
     assert error == "runs in batches of up to 8 in the first 8 trials\n"  # not that of an empty folder something was done before
     assert_refused(lux("tune", "flat"), "--key: is missing")
     nothing_held = lux("tune", "gfhb", "--key", "functions.guard_traffic.margin_m=0.1:1")
