@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import torch
-from pydantic import Field
+from pydantic import Field, model_validator
 from torch import Tensor
 
 from luxloop.controllers.pid import PidGains, PidParams, PidState, pid_gains, pid_reset, pid_step
@@ -163,10 +163,20 @@ class PidTuning(Params):
     )
 
 
+# (kp, kd) of all loops by latency in steps, the last for longer ones; ki = 0, since the incremental law integrates once without it. Found
+# by `luxloop tune --robust` on flat, snowflake, speed_bump and belgian_block on 2026-11-30 (docs/tuning.md has the command).
+LATENCY_GAINS = ((0.35, 0.18), (0.22, 0.04), (0.15, 0.03), (0.14, 0.08))
+
+
 class ThesisPidParams(PoseParams):
-    """Four PIDs with the gains of T 9.4.3. The limits prevent an edge-on primitive, at atan(h/x) = 2.5 deg nose-down."""
+    """Four PIDs, by default with the gains of T 9.4.3. The limits prevent an edge-on primitive, at atan(h/x) = 2.5 deg nose-down."""
 
     name: Literal["thesis_pid"] = "thesis_pid"
+    gain_schedule: Literal["latency"] | None = Field(
+        None,
+        description="what chooses the gains in each step: the measured latency, from gains tuned for it, in place of `position` and "
+        "`rotation`; left out: nothing",
+    )
     position: PidTuning = Field(PidTuning(kp=0.75, ki=0.5, kd=0.26, tracking_steps=1.1), description="gains of the x and y loops")
     rotation: PidTuning = Field(PidTuning(kp=0.5, ki=0.1, kd=0.1, tracking_steps=1.3), description="gains of the roll and pitch loops")
     x_range_m: tuple[Metres, Metres] = Field((8.0, 40.0), description="limits of the primitive's x")
@@ -174,6 +184,20 @@ class ThesisPidParams(PoseParams):
     y_rate_m: Length = Field(0.9, description="largest move along y a step")
     roll_rate_deg: float = Field(2.4, gt=0, le=180, description="largest turn in roll a step")
     pitch_rate_deg: float = Field(1.35, gt=0, le=180, description="largest turn in pitch a step")
+
+    @model_validator(mode="after")
+    def _one_source_of_gains(self) -> "ThesisPidParams":
+        for name in ("position", "rotation"):
+            if self.gain_schedule and getattr(self, name) != type(self).model_fields[name].default:
+                raise ValueError(f'{name}: gain_schedule = "{self.gain_schedule}" has its own gains; leave out {name} or gain_schedule')
+        return self
+
+    @property
+    def schedule(self) -> list[tuple[PidTuning, PidTuning]]:
+        """Gains of the position and the rotation loops by latency in steps; fixed gains are those of every latency."""
+        if self.gain_schedule is None:
+            return [(self.position, self.rotation)]
+        return [(PidTuning(kp=kp, ki=0.0, kd=kd),) * 2 for kp, kd in LATENCY_GAINS]
 
 
 @dataclass(frozen=True)
@@ -186,26 +210,38 @@ class ThesisPidState:
 
 @dataclass(frozen=True, eq=False)
 class ThesisPid:
-    """Four PIDs (T 9.4.1). target: the flat-road pose `[4]` (x, y in m, roll, pitch in rad). losses_to_reset: as in ThesisPidParams, or
-    `[...]` per copy in a batch.
+    """Four PIDs (T 9.4.1).
+
+    gains: limits, and the gains at latency 0. target: the flat-road pose `[4]` (x, y in m, roll, pitch in rad). losses_to_reset: as in
+    ThesisPidParams, or `[...]` per copy in a batch. later: gains by latency from one step on, the last for any longer one; empty: `gains`.
     """
 
     gains: PidGains
     target: Tensor
     losses_to_reset: int | Tensor
+    later: tuple[PidGains, ...] = ()
 
     @classmethod
     def prepare(cls, params: ThesisPidParams, target: Tensor) -> "ThesisPid":
         """The PIDs of a scenario's parameters for a target pose `[4]`."""
+        first, *later = (cls._bank(params, *gains, target) for gains in params.schedule)
+        return cls(first, target, params.losses_to_reset, tuple(later))
+
+    @staticmethod
+    def _bank(params: ThesisPidParams, position: PidTuning, rotation: PidTuning, like: Tensor) -> PidGains:
         loops = []
         for degree in appearance.DEGREES:
-            tuning, (low, high) = params.position if degree.unit == "m" else params.rotation, degree.limits(params)
+            tuning, (low, high) = position if degree.unit == "m" else rotation, degree.limits(params)
             rate = degree.of_file(getattr(params, f"{degree.name}_rate_{degree.suffix}"))
             gains = tuning.model_dump(exclude={"tracking_steps"})
             loops.append(
                 PidParams(**gains, tracking_time=tuning.tracking_steps, lower=low, upper=high, rate_limit=rate, form="incremental")
             )
-        return cls(pid_gains(loops, target.dtype, target.device), target, params.losses_to_reset)
+        return pid_gains(loops, like.dtype, like.device)
+
+    def gains_at(self, latency_steps: int) -> PidGains:
+        """Gains at a measured latency."""
+        return (self.gains, *self.later)[min(latency_steps, len(self.later))]
 
     def start(self, pose: Tensor) -> ThesisPidState:
         """State that shows the pose `[..., 4]` first."""
@@ -224,7 +260,7 @@ class ThesisPid:
         usable, losses = _count(state.losses, seen.code, seen.pose_error)
         reset = losses >= self.losses_to_reset
         error = torch.where(usable[..., None], -seen.pose_error, 0.0)  # zero instead of NaN, whose gradient would survive the selection
-        moved = pid_step(state.pid, error, 1.0, self.gains)
+        moved = pid_step(state.pid, error, 1.0, self.gains_at(observation.latency_steps))
         pid = _where(usable[..., None], moved, state.pid)
         pid = _where(reset[..., None], pid_reset(self.gains, self.target.expand_as(pid.output)), pid)
         return ThesisPidState(pid, torch.where(reset, 0, losses))

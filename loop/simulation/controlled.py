@@ -105,8 +105,12 @@ class ControlledSymbol:
         beams = zip(self.drawn_by, self.projector.resting, strict=True)  # equal to off without other functions
         return tuple(on[k] if off[k].u is beam.u else Utilisation(beam.u + on[k].u - off[k].u) for k, beam in beams)
 
-    def step(self, state: SymbolState, name: str, pair: ExposurePair, ego: Ego | None) -> tuple[SymbolState, Measurement]:
-        """Measure a pair that shows the symbol, and step its controller. name: of the symbol. ego: newest estimated motion."""
+    def step(
+        self, state: SymbolState, name: str, pair: ExposurePair, ego: Ego | None, latency_steps: int
+    ) -> tuple[SymbolState, Measurement]:
+        """Measure a pair that shows the symbol, and step its controller. name: of the symbol. ego: newest estimated motion.
+        latency_steps: steps since the pair was exposed.
+        """
         shown = Projection(pair.on.projections[name], self.light(pair.on.lights, pair.off.lights), pair.ego)
         frames = pair.images if pair.measures(name) else None
         bias = None if pair.alone or frames is None else self._bias(shown)
@@ -117,7 +121,8 @@ class ControlledSymbol:
             if bias is not None and seen.code == ExtractionStatus.SEEN:
                 errors = seen.errors - bias
                 seen = replace(seen, errors=errors, pose_error=self.sensor.pose_error(errors))
-        return SymbolState(self.controller.step(state.controller, Observation(seen, frames, shown, ego)), state.turn, seen.shape), seen
+        after = self.controller.step(state.controller, Observation(seen, frames, shown, ego, latency_steps))
+        return SymbolState(after, state.turn, seen.shape), seen
 
     def _bias(self, shown: Projection) -> Tensor | None:
         """Feature bias caused by other functions' light, `[4]`; NaN if they leave too little of the symbol to measure. None if they do not

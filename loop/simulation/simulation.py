@@ -318,8 +318,9 @@ class Simulation:
         symbols = {name: replace(each, turn=state.step) if name in planning.measured else each for name, each in state.symbols.items()}
         seen = dict[str, Measurement]()
         for pair in pairs:
+            latency = state.step - pair.on.number // len(self.scenario.shares)
             for name in (name for name in symbols if name in pair.on.projections):
-                symbols[name], seen[name] = self.controlled[name].step(symbols[name], name, pair, newer)
+                symbols[name], seen[name] = self.controlled[name].step(symbols[name], name, pair, newer, latency)
         measurements = {
             name: seen[name] if name in seen else self.controlled[name].sensor.lost(projection.pose, ExtractionStatus.NO_FRAME)
             for name, projection in planning.projections.items()

@@ -30,13 +30,14 @@ class Observation:
 
     measurement: features and errors of the symbol. frames: on and off frame `[height, width]`, digital numbers; None if lost or not yet
     arrived. shown: the light in these frames, older than this step if the camera has latency. ego: present vehicle motion, None for a
-    standing vehicle.
+    standing vehicle. latency_steps: measured latency, the number of steps from the exposure of the frames to this step.
     """
 
     measurement: Measurement
     frames: tuple[Tensor, Tensor] | None
     shown: Projection
     ego: Ego | None = None
+    latency_steps: int = 0
 
 
 class SymbolController(Protocol):

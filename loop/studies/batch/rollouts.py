@@ -45,8 +45,8 @@ def check(simulation: Simulation, keys: Any) -> None:
         if _gain(key) not in GAINS:
             before = key.removesuffix(_gain(key))
             raise LuxloopError(f"{key}: has no gradient; {did_you_mean(key, [before + gain for gain in GAINS])}")
-    if controller.warp or controller.supervisor:
-        raise LuxloopError(f"{scenario.name}: batches of gains have no stages; leave out controller.warp and controller.supervisor")
+    if other := next((key for key in ("warp", "supervisor", "gain_schedule") if getattr(controller, key)), None):
+        raise LuxloopError(f"{scenario.name}: batches of gains are for fixed gains without stages; leave out controller.{other}")
     if scenario.camera.drop_probability or scenario.disturbances.drops or scenario.camera.latency_spread_steps:
         raise LuxloopError(
             f"{scenario.name}: batches of gains are for cameras of which no frame is lost and all are equally late; tune without --gradient"
@@ -95,7 +95,7 @@ def loops(law: SymbolController, simulation: Simulation, start: Tensor, look: Lo
         looks.append(look(projection, step))
         lost = step < late
         seen = simulation.symbol.sensor.lost(projection.pose, ExtractionStatus.NO_FRAME) if lost else looks[step - late]
-        state = law.step(state, Observation(seen, None, Projection(projection, ())))
+        state = law.step(state, Observation(seen, None, Projection(projection, ()), latency_steps=late))
         yield projection, seen
 
 
@@ -122,12 +122,19 @@ def stack_laws(controllers: Sequence[SymbolController]) -> SymbolController:
         return {name.split(".")[-1]: torch.stack(each) for name, each in zip(names, found, strict=True)}
 
     if isinstance(first, ThesisPid):
-        gains = rows(*(f"gains.{each.name}" for each in fields(PidGains) if each.name != "form"))
-        return replace(first, gains=replace(first.gains, **gains), **rows("losses_to_reset"))
+        later = tuple(map(_stack_gains, zip(*(law.later for law in laws), strict=True)))
+        return replace(first, gains=_stack_gains([law.gains for law in laws]), later=later, **rows("losses_to_reset"))
     if isinstance(first, Feedback):
         return replace(first, **rows("low", "high", "gain", "losses_to_reset"))
     law: SymbolController = first
     return law
+
+
+def _stack_gains(banks: Sequence[PidGains]) -> PidGains:
+    stacked: Any = {
+        each.name: torch.stack([getattr(bank, each.name) for bank in banks]) for each in fields(PidGains) if each.name != "form"
+    }
+    return replace(banks[0], **stacked)
 
 
 def choose(chosen: Tensor, new: Any, old: Any) -> Any:

@@ -99,8 +99,8 @@ class Gains:
 
     def step(self, state: GainsState, observation: Observation) -> GainsState:
         kp, ki, kd = state.factors.unbind(-2)
-        gains = self.law.gains
-        scaled = replace(self.law, gains=replace(gains, kp=gains.kp * kp, ki=gains.ki * ki, kd=gains.kd * kd))
+        gains = self.law.gains_at(observation.latency_steps)
+        scaled = replace(self.law, gains=replace(gains, kp=gains.kp * kp, ki=gains.ki * ki, kd=gains.kd * kd), later=())
         return replace(state, law=scaled.step(state.law, observation))
 
 

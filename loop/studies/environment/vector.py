@@ -161,7 +161,8 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
         if len(self._looks) > self.late:
             self._look = choose(torch.from_numpy(self._age >= self.late).to(pose.device), self._looks.pop(0), self._blind())
         newest = replace(self._no_frame(pose), code=self._look.code, pose_error=self._look.pose_error)
-        self._state = self.acting.step(self._state, Observation(newest, None, Projection(ProjectionCommand(pose), ())))
+        observation = Observation(newest, None, Projection(ProjectionCommand(pose), ()), latency_steps=self.late)
+        self._state = self.acting.step(self._state, observation)
         self._age = self._age + 1
         metrics = self.copies.evaluate(light)
         return reward_terms(metrics, actions), metrics

@@ -1,6 +1,7 @@
 """Symbol controllers: what they see on a flat road, what they do about it, and that the loop closes without any rendering."""
 
 import math
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from torch.testing import assert_close
 from luxloop.controllers.pixels.primitives import road_symbol
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.controllers.symbol import CONTROLLERS, build_controller
-from luxloop.controllers.symbol.feedback import ThesisPid, ThesisPidParams
+from luxloop.controllers.symbol.feedback import LATENCY_GAINS, PidTuning, ThesisPid, ThesisPidParams
 from luxloop.controllers.symbol.heights.feedforward import OpenLoop, OpenLoopParams
 from luxloop.controllers.symbol.sensing.flat_model import FeatureParams, flat_model
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
@@ -235,6 +236,22 @@ def test_limits_are_never_exceeded(reports):
         assert ((pose >= RANGES[:, 0] - slack) & (pose <= RANGES[:, 1] + slack)).all()
         was_reset = torch.equal(pose, TARGET)
         assert was_reset or ((pose - before).abs() <= RATES + slack).all()
+
+
+def test_the_measured_latency_schedules_the_gains():
+    scheduled = ThesisPid.prepare(ThesisPidParams(gain_schedule="latency"), TARGET)
+    error = torch.full((4,), 0.01)
+    first_moves = []
+    for latency in range(6):
+        after = scheduled.step(scheduled.start(START), replace(report(error), latency_steps=latency))
+        first_moves.append(pose_of(scheduled, after) - START)
+    for latency, (kp, _) in enumerate((*LATENCY_GAINS, LATENCY_GAINS[-1], LATENCY_GAINS[-1])):
+        assert_close(first_moves[latency], -kp * error, rtol=0, atol=1e-5)
+    fixed = thesis_pid()
+    late, early = (fixed.step(fixed.start(START), replace(report(error), latency_steps=latency)) for latency in (3, 0))
+    assert torch.equal(pose_of(fixed, late), pose_of(fixed, early))
+    with pytest.raises(ValueError, match=r'gain_schedule = "latency" has its own gains; leave out position or gain_schedule'):
+        ThesisPidParams(gain_schedule="latency", position=PidTuning(kp=0.3, ki=0.0, kd=0.0))
 
 
 def test_holds_while_frames_are_missing():

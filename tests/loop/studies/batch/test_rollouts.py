@@ -95,7 +95,7 @@ def test_errors_are_differentiable_in_gains(monkeypatch):
         ([], ["functions.symbol.controller.position.kq"], "has no gradient; did you mean 'functions.symbol.controller.position.kp'"),
         (["camera.drop_probability=0.5"], [], "no frame is lost"),
         (["functions.symbol.controller.warp.takes_over=0.3"], [], "leave out controller.warp"),
-        (["functions.symbol.controller.supervisor.grace_steps=8"], [], "leave out controller.warp and controller.supervisor"),
+        (["functions.symbol.controller.supervisor.grace_steps=8"], [], "leave out controller.supervisor"),
         (["disturbances.oncoming=[{ position_m=[40, 2, 0.65] }]"], [], r"do not support disturbances\.oncoming"),
         (["disturbances.drops=[{}]"], [], "no frame is lost"),
     ],

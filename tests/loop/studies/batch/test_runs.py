@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from luxloop import Scenario, load
+from luxloop.controllers.symbol.feedback import LATENCY_GAINS
 from luxloop.loop.studies import runs as batch
 from luxloop.loop.studies.batch.copies import Copies
 from luxloop.loop.studies.runs import figures_and_trace, ready, with_controllers
@@ -74,6 +75,18 @@ def test_each_of_a_batch_is_the_single_run(law, common):
         # The step from which on a symbol is settled jumps where it is at the limit.
         wrong = {key: (figures[key], expected[key]) for key in expected if "_step" not in key and not close(figures[key], expected[key])}
         assert not wrong
+
+
+def test_a_batch_measures_the_latency_of_its_single_runs():
+    scheduled = "functions.symbol.controller.gain_schedule='latency'"
+    given = [scenario(scheduled, *more, "camera.latency_steps=2") for more in ((), ("functions.symbol.controller.y_rate_m=0.3",))]
+    assert batch.kind(given[0]) == batch.kind(given[1]) != batch.kind(scenario("camera.latency_steps=2"))
+    for each, (_, rollout) in zip(given, batch.runs(given), strict=True):
+        _, alone = figures_and_trace(each, "cpu")
+        assert rollout is not None and alone is not None
+        torch.testing.assert_close(rollout.poses, alone.poses, rtol=0, atol=5e-4)
+    kp, moves = LATENCY_GAINS[2][0], rollout.poses[0, 3] - rollout.poses[0, 2]
+    torch.testing.assert_close(moves[0], -kp * rollout.errors[0, 2, 0], rtol=0, atol=1e-4)
 
 
 def test_what_searches_for_its_symbol_is_run_alone():
