@@ -46,7 +46,7 @@ def worlds(given: Namespace) -> Iterator[World]:
 
 
 def world(given: Namespace, part: str, kind: str, scenario: Scenario) -> World:
-    tables = {name: {"name": name} for name in given.controllers}
+    tables = {name: dict(table) for name, table in given.controllers.items()}
     road = road_of(scenario) if scenario.vehicle is None else {"kind": "flat"}
     tables[FEEDFORWARD] = {"name": "feedforward", "road": road, "offset_m": OFFSET_M}
     if kind == BELIEVED:
