@@ -153,7 +153,7 @@ def test_a_second_run_does_nothing_again(study, tmp_path, monkeypatch):
     program = study.measure, "", "out", "jobs"
     bench.run(*program, threads=())
     kept, rows = (tmp_path / "jobs.jsonl").read_bytes(), json.loads((tmp_path / "rows.json").read_text())["rows"]
-    assert [each["controller"] for each in rows] == bench.cases(study.measure).controllers and rows[0].get(
+    assert [each["controller"] for each in rows] == list(bench.cases(study.measure).controllers) and rows[0].get(
         "gap", rows[0].get("below_open")
     ) == 0
     monkeypatch.setattr(side_by_side, "prepare", None)  # a job done again would fail
