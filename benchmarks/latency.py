@@ -64,4 +64,4 @@ def measure(given: Namespace) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    run(measure, __doc__, "seed", "every", "latencies", "only", "out", "jobs")
+    run(measure, __doc__, "seed", "every", "only", "out", "jobs")

@@ -81,8 +81,8 @@ def test_a_batch_measures_the_latency_of_its_single_runs():
     scheduled = "functions.symbol.controller.gain_schedule='latency'"
     given = [scenario(scheduled, *more, "camera.latency_steps=2") for more in ((), ("functions.symbol.controller.y_rate_m=0.3",))]
     assert batch.kind(given[0]) == batch.kind(given[1]) != batch.kind(scenario("camera.latency_steps=2"))
-    for each, (_, rollout) in zip(given, batch.runs(given), strict=True):
-        _, alone = figures_and_trace(each, "cpu")
+    for each, (_, rollout, _) in zip(given, batch.runs(given), strict=True):
+        _, alone, _ = figures_and_trace(each, "cpu")
         assert rollout is not None and alone is not None
         torch.testing.assert_close(rollout.poses, alone.poses, rtol=0, atol=5e-4)
     kp, moves = LATENCY_GAINS[2][0], rollout.poses[0, 3] - rollout.poses[0, 2]
