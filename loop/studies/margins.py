@@ -5,6 +5,7 @@ diagonal element of the plant `[4, 4]`, the derivative of the pose errors by the
 """
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -88,7 +89,7 @@ def _margins(loop: control.TransferFunction, rate_hz: float) -> Margins:
         return Margins(gain)
     hz = np.linspace(0, rate_hz / 2, FREQUENCIES)[1:]
     sensitivity = abs(1 / (1 + loop(np.exp(1j * math.tau * hz / rate_hz))))
-    with np.errstate(all="ignore"):  # it looks at the pole at 1
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # it evaluates the pole at 1
         _, phases, *_ = control.stability_margins(loop, returnall=True)
     return Margins(
         gain, float(np.abs(phases).min(initial=180.0)), float(sensitivity.max()), float(hz[np.argmax(sensitivity > math.sqrt(0.5))])
