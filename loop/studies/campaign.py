@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
 import pyarrow as pa
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from luxloop.loop.recording.manifest import digests, write_table
 from luxloop.loop.recording.sources import digest_of_code
@@ -52,8 +52,10 @@ class CampaignParams(Params):
     scenarios: tuple[Annotated[str, Field(min_length=1)], ...] = Field(
         (), description="shipped scenarios, or files relative to the campaign file"
     )
-    controllers: tuple[str, ...] = Field(
-        (), description="controllers, with each scenario's settings; left out: each scenario's own controller"
+    controllers: tuple[str | dict[str, Any], ...] = Field(
+        (),
+        description="controllers with each scenario's settings, or tables of keys with a `label` for the report; left out: each "
+        "scenario's own controller",
     )
     seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field((0,), min_length=1, description="seeds of all noise")
     set: dict[str, Any] = Field({}, description="changed keys of all scenarios, written as in a scenario file")
@@ -67,21 +69,40 @@ class CampaignParams(Params):
     variants: dict[str, dict[str, Any]] = Field({}, description="named tables of further changed keys; left out: one variant, unchanged")
     runs: tuple[RunParams, ...] = Field((), description="single runs in addition to the grid")
 
+    @model_validator(mode="after")
+    def _named_controllers(self) -> Self:
+        if not all(isinstance(each, str) or each.get("name") for each in self.controllers):
+            raise ValueError(
+                'controllers: a table lacks the name; write for example { name = "thesis_pid", label = "slow", x_rate_m = 0.5 }'
+            )
+        if len(self.tables) < len(self.controllers):
+            raise ValueError("controllers: two have the same name or label; give each table a label of its own")
+        return self
+
+    @property
+    def tables(self) -> Mapping[str, Mapping[str, Any]]:
+        """Keys of each controller by its label."""
+        given = ({"name": each} if isinstance(each, str) else each for each in self.controllers)
+        return {each.get("label", each["name"]): {key: value for key, value in each.items() if key != "label"} for each in given}
+
 
 @dataclass(frozen=True)
 class Run:
-    """A run of a campaign: its parameters, its scenario with all changes, drawn values by key, and whether its steps are written."""
+    """A run of a campaign: its parameters, its scenario with all changes, drawn values by key, whether its steps are written, and the
+    label of its controller.
+    """
 
     params: RunParams
     scenario: Scenario
     drawn: Mapping[str, Any]
     trajectory: bool
+    label: str | None = None
 
     @property
     def row(self) -> Row:
         """Columns that identify the run."""
         held = self.scenario.symbol.controller if len(self.scenario.symbols) == 1 else None
-        controller = None if held is None else held.name.rpartition(":")[-1]
+        controller = None if held is None else self.label or held.name.rpartition(":")[-1]
         return {
             "scenario": Path(self.params.scenario).stem,
             "controller": controller,
@@ -223,7 +244,7 @@ def job_scenario(scenario: Mapping[str, Any], inputs: dict[str, str]) -> Scenari
 
 
 def _all(params: CampaignParams) -> Iterator[RunParams]:
-    grid = product(params.scenarios, params.controllers or (None,), params.variants or (None,), params.seeds)
+    grid = product(params.scenarios, params.tables or (None,), params.variants or (None,), params.seeds)
     for scenario, controller, variant, seed in grid:
         yield RunParams(scenario=scenario, controller=controller, variant=variant, seed=seed)
     yield from params.runs
@@ -273,11 +294,12 @@ def _run(file: Path, params: CampaignParams, one: RunParams, draws: Callable[[st
         name = str(beside) if os.path.isfile(beside) else one.scenario
         if one.controller:
             held = only(load(name, allow_code=True).symbols)
-            changes.insert(0, {"functions": {held: {"controller": {"name": one.controller}}}})
+            changes.insert(0, {"functions": {held: {"controller": {**params.tables.get(one.controller, {"name": one.controller})}}}})
         for each in changes:
             resolve_paths(each, file.parent)
         drawn = _drawn(draws(name), one.seed)
         scenario = load(name, [*changes, *(f"{key}={json.dumps(value)}" for key, value in drawn.items())], allow_code=True)
         if not allow_code:  # changes come from a file, too
             refuse_code(scenario, one.scenario)
-        return Run(one, scenario, drawn, params.trajectories)
+        labels = {each["label"] for each in params.controllers if isinstance(each, dict) and "label" in each}
+        return Run(one, scenario, drawn, params.trajectories, one.controller if one.controller in labels else None)

@@ -28,7 +28,7 @@ def ious(scenario: str, controller: str, steps: int, *more: str) -> list[float]:
     return [float(result.symbol.metrics.iou) for result in prepared.evaluations() if result.symbol.metrics is not None]
 
 
-@pytest.mark.parametrize("name", ["motion_compensation:MotionCompensation", "visual_servo:VisualServo"])
+@pytest.mark.parametrize("name", ["motion_compensation:MotionCompensation", "visual_servo:VisualServo", "lqg:Lqg"])
 def test_controllers_keep_the_contract(name):
     module, _, controller = name.partition(":")
     check_controller(getattr(__import__(module), controller))
@@ -43,6 +43,13 @@ def test_what_is_drawn_for_the_body_s_motion_lies_better_than_a_correction_of_th
 @pytest.mark.slow
 def test_the_interaction_matrix_is_learnt_in_five_steps():
     assert min(ious("snowflake", "visual_servo:VisualServo", 9)[5:]) > 0.88, "0.91 over three seeds; a frame of noise costs 0.01"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("latency", [0, 2])
+def test_lqg_settles_at_any_latency(latency):
+    after = ious("snowflake", "lqg:Lqg", 14, f"camera.latency_steps={latency}")[8:]
+    assert min(after) > 0.8 and max(after) - min(after) < 0.05, "it stands, as far as four numbers can straighten a symbol"
 
 
 def test_what_the_body_s_motion_explains_of_a_pose_error_is_taken_out_as_interfaces_md_shows():

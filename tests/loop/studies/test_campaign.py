@@ -78,6 +78,13 @@ def test_a_seed_draws_the_same_world_for_all_controllers(tmp_path):
     assert [run.drawn["functions.symbol.start.x_m"] for run in without] == [run.drawn["functions.symbol.start.x_m"] for run in runs]
 
 
+def test_a_controller_may_come_with_its_keys_and_a_label(tmp_path):
+    tables = '["thesis_pid", { name = "thesis_pid", label = "slow", x_rate_m = 0.5 }]'
+    fast, slow = read(written(tmp_path, f'scenarios = ["flat"]\ncontrollers = {tables}\n'))
+    assert [fast.row["controller"], slow.row["controller"]] == ["thesis_pid", "slow"]
+    assert (fast.scenario.symbol.controller.x_rate_m, slow.scenario.symbol.controller.x_rate_m) == (1.5, 0.5)
+
+
 def test_steps_and_comparisons_of_drawn_worlds_are_written(tmp_path):
     file = written(tmp_path, DRAWN + "trajectories = true\n")
     found = luxloop.campaign(file, tmp_path / "out", jobs=1)
@@ -126,6 +133,8 @@ def test_the_example_is_what_the_docs_show():
         ('scenarios = ["nul\\u0000"]', "a text has a NUL character"),
         ('scenarios = ["flat"]\nseeds = [-1]', r"seeds\[0\]: -1 should be greater than or equal to 0"),
         ('scenarios = ["flat"]\ndraw.camera.read_noise_e = 3.0', r"draw\.camera\.read_noise_e: 3\.0 is neither a range nor a list"),
+        ('scenarios = ["flat"]\ncontrollers = [{ label = "a" }]', "controllers: a table lacks the name"),
+        ('scenarios = ["flat"]\ncontrollers = ["open", { name = "open" }]', "two have the same name or label"),
         ('scenarios = ["flat"]\ndraw.camera.read_nois_e = "1:2"', r"draw .*read_nois_e"),
         ('scenarios = ["flat", "./flat.toml"]', "two different runs are both called 'flat, thesis_pid, seed 0'"),
     ],
