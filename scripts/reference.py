@@ -174,13 +174,15 @@ def columns(of: str) -> str:
         return markdown_table(("column", "largest difference", "why"), rows, "l")
     groups: dict[str, dict[str, Any]] = {
         "": record.STEP | record.CONTROL | record.OBSERVED | record.LEARNING | record.LOOKING | record.EYES_PEAK,
+        "body.true.": record.BODY,
+        "body.measured.": record.BODY,
         "lamp.SIDE.": record.LAMP | record.LAMP_PEAK,
         "modules.NAME.": record.MODULE,
         "objects.NAME.": record.OBJECT | record.OBJECT_PEAK | record.LOOKED_AT,
         "functions.NAME.": record.ZONE,
     }
     if of == "symbols":
-        groups = {"functions.NAME.": recorded.SYMBOL}
+        groups = {"functions.NAME.": recorded.SYMBOL | recorded.CAUSES}
     if of == "frames":
         groups = {"": {name: entry[1:] for name, entry in COLUMNS.items()}}
     rows = [(f"`{prefix}{name}`", unit, text) for prefix, group in groups.items() for name, (unit, text) in group.items()]

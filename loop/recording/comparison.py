@@ -8,7 +8,7 @@ import pyarrow as pa
 
 from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
 from luxloop.loop.recording.summary import AXES, steady_step
-from luxloop.loop.simulation.columns import AIM, CENTROIDS, CUT, ERRORS, of_one
+from luxloop.loop.simulation.columns import AIM, CAUSES, CENTROIDS, CUT, ERRORS, of_one
 
 SHEAR = (0.005, "a quarter of what counts as settled")
 # Largest difference between two machines that is no difference in behaviour, and the reason; other columns are exact, timings ignored.
@@ -24,10 +24,11 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     **dict.fromkeys(AIM, (0.25, "step between the places that are tried")),
     "area_ratio": (0.01, "the gate's limits are tens of percents apart"),
     **dict.fromkeys(AXES, (0.1, "a twentieth of what counts as settled")),
-    "iou": (0.01, "thin strokes: a shift of 2 mm across the road costs as much"),
+    **dict.fromkeys(("iou", *CAUSES), (0.01, "thin strokes: a shift of 2 mm across the road costs as much")),
     "ssim": (0.005, "half the IoU's, which it follows"),
     "length": (0.002, "a tenth of what counts as settled"),
     "shear": SHEAR,
+    **dict.fromkeys(("road_true_m", "road_believed_m"), (1e-4, "moves the symbol's light by 2 mm")),
 }
 CENTROID_PX = (0.1, "a tenth of a pixel of the raw image")
 CENTROID_M = (0.001, "a millimetre, as the pose's")

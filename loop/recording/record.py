@@ -8,7 +8,7 @@ import pyarrow as pa
 import torch
 
 from luxloop.loop.recording.checks import baselines
-from luxloop.loop.simulation.columns import AIM, CENTROIDS, CUT, ERRORS, LOOKING_OF_TRUTH, POSE, PROJECTION, SYMBOL, loss_name
+from luxloop.loop.simulation.columns import AIM, CAUSES, CENTROIDS, CUT, ERRORS, LOOKING_OF_TRUTH, POSE, PROJECTION, SYMBOL, loss_name
 from luxloop.loop.simulation.commanded import moved
 from luxloop.loop.simulation.evaluator import Evaluation, SymbolStep
 from luxloop.loop.simulation.light_figures import quantities
@@ -39,6 +39,11 @@ STEP = {
     "light_ms": ("ms", "time from primitives to utilisations"),
     "look_ms": ("ms", "time of rendering and evaluation, which are not part of the car"),
     "processing_ms": ("ms", "time of everything that the car computes, without look_ms, on one thread of the processor"),
+}
+BODY = {
+    "heave_m": ("m", "heave of the body over the ground"),
+    "roll_deg": ("deg", "roll of the body over the ground, right side down"),
+    "pitch_deg": ("deg", "pitch of the body over the ground, nose down"),
 }
 CONTROL = {"control_ms": ("ms", "time of measurement and controllers of all held symbols")}
 OBSERVED = {"symbol_iou_min": ("1", "lowest IoU of a symbol with the picture that its observer should see; empty while there is none")}
@@ -125,6 +130,10 @@ def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
     held = bool(simulation.controlled)  # so that a step has exposures of different light
     observed = any(getattr(function, "observer", None) for function in simulation.scenario.functions.values())
     columns = STEP | (CONTROL if held else {}) | (OBSERVED if observed else {})
+    if simulation.scenario.vehicle is not None:
+        sources = {} if simulation.truth is None else {"true": "at the start of the step"}
+        for source, when in {**sources, "measured": "by the newest measurement"}.items():
+            columns |= {f"body.{source}.{key}": (unit, f"{what}, {when}") for key, (unit, what) in BODY.items()}
     columns |= {f"lamp.{side}.{key}": of for side in sides for key, of in (LAMP | (LAMP_PEAK if held else {})).items()}
     columns |= {f"rules.{rule}": RULE for rule in simulation.scenario.rules}
     columns |= LEARNING if looks or simulation.planner.learns else {}
@@ -133,7 +142,8 @@ def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
         columns |= {key: of for key, of in looking.items() if simulation.truth is not None or key not in LOOKING_OF_TRUTH}
     of_object = OBJECT | (OBJECT_PEAK if held else {}) | (LOOKED_AT if looks else {})
     columns |= {f"objects.{name}.{key}": of for name in simulation.recorded_ids for key, of in of_object.items()}
-    columns |= {f"functions.{name}.{key}": of for name in simulation.controlled for key, of in SYMBOL.items()}
+    causes = CAUSES if simulation.scenario.judge_causes else {}
+    columns |= {f"functions.{name}.{key}": of for name in simulation.controlled for key, of in (SYMBOL | causes).items()}
     if simulation.truth is not None:
         columns |= {f"functions.{name}.{key}": of for name in simulation.scenario.projections for key, of in PROJECTION.items()}
     columns |= {f"modules.{module}.{key}": MODULE[key] for module, key in moved(simulation.planner, simulation.modules)}
@@ -172,6 +182,8 @@ def row(result: Evaluation) -> dict[str, Any]:
         "look_ms": result.timings["plant"] + result.timings["look"],
         "processing_ms": result.processing_ms,
     }
+    for source, attitude in result.body.items():
+        values |= dict(zip((f"body.{source}.{key}" for key in BODY), attitude, strict=True))
     powers = result.powers.values()
     values |= {"base_share": base.share, "flux_lm": sum(each.flux_lm for each in powers), "power_w": sum(each.watts for each in powers)}
     for side, power in result.powers.items():
@@ -216,6 +228,8 @@ def symbol_values(held: SymbolStep) -> dict[str, Any]:
         ("area_ratio",): measurement.area_ratio,
         ("centroid_error_x_percent", "centroid_error_y_percent"): metrics.centroid_percent,
         ("iou", "ssim", "length", "shear"): torch.stack([metrics.iou, metrics.ssim, metrics.length, metrics.shear]),
+        ("road_true_m", "road_believed_m"): torch.stack([held.road_true_m, held.road_believed_m]),
+        tuple(held.causes): torch.stack([NAN, *held.causes.values()])[1:],
         CUT: held.cut,
         AIM: held.aim,
         ("code",): measurement.code,

@@ -24,6 +24,14 @@ OFF_PERCENT = 5.0  # largest final error of a settled symbol
 LEAST_START_PERCENT = 5.0  # least initial error of an axis whose overshoot counts
 
 
+DRAWN = {  # columns of `judge_causes`
+    "iou_open": "without control",
+    "iou_true_pose": "for the true pose",
+    "iou_true_road": "for the true road",
+    "iou_true": "for both",
+}
+
+
 @dataclass(frozen=True)
 class Circumstances:
     """Facts of a run that a symbol's columns do not have.
@@ -47,8 +55,9 @@ def summarise(
     iou_open: IoU of the open loop at the last step, NaN without one. centroid_error_percent: [x, y], signed, mean of the last five steps.
     unsettled: why there is no settle_step (`settling_failure`). cut, cut_side: share of the symbol beyond the lamps' field at the last
     step, and the border with the largest share. aim: place [x, y] in m of the symbol at the last step if that is not its target, else None.
-    iou_mean: of all evaluated steps; iou_second_half_mean, iou_second_half_min: of those in the second half of the run. shown_steps: steps
-    that show the symbol; seen_steps: steps with a measurement; lost_steps: steps whose frames lack the symbol; covered_steps: lost steps in
+    iou_mean: of all evaluated steps, as are iou_open_mean and the other means of `DRAWN`, None without `judge_causes`.
+    iou_second_half_mean, iou_second_half_min: of those in the second half of the run. shown_steps: steps that show the symbol; seen_steps:
+    steps with a measurement; lost_steps: steps whose frames lack the symbol; covered_steps: lost steps in
     which other functions (covered_by) cover the symbol.
     """
     evaluated, losses = steps_with_metrics(table), table["loss"].to_pylist()
@@ -74,6 +83,7 @@ def summarise(
         "iou_open": iou_open,
         "iou_final": last(evaluated, "iou"),
         "iou_mean": ious.mean() if len(ious) else None,
+        **{f"{key}_mean": column(evaluated, key).mean() if key in table.column_names and len(ious) else None for key in DRAWN},
         "iou_second_half_mean": late.mean() if len(late) else None,
         "iou_second_half_min": late.min(initial=math.inf),
         "z_m_final": last(table, "z_m"),

@@ -9,7 +9,7 @@ from luxloop.controllers.functions.commands import MOVEMENTS
 from luxloop.loop.recording.checks import lines
 from luxloop.loop.recording.functions_summary import NAMED, START_UP_S, UNITS, brightest, plain_name
 from luxloop.loop.recording.remedies import frame_remedies, remedies, why_no_metrics
-from luxloop.loop.recording.summary import Summary
+from luxloop.loop.recording.summary import DRAWN, Summary
 from luxloop.loop.report.terminal import facts, number, plural
 from luxloop.loop.simulation.detection import LEAST_PX
 
@@ -167,16 +167,23 @@ def _symbol_rows(values: Summary) -> dict[str, str]:
         return {"result": why, "lost steps": f"{values['lost_steps']}{_lost_details(values)}"}
     x, y = values["centroid_error_percent"]
     settled = values["settle_step"]
-    ended, without = (number(values[key], ".3f") for key in ("iou_final", "iou_open"))
-    mean, least = (number(values[f"iou_second_half_{each}"], ".3f") for each in ("mean", "min"))
-    late = f"; {mean} on average and {least} at least in the second half"
+    late, least = (number(values[f"iou_second_half_{each}"], ".3f") for each in ("mean", "min"))
+    mean, ended, without = (number(values[key], ".3f") for key in ("iou_mean", "iou_final", "iou_open"))
+    causes = {"mean IoU drawn otherwise": told} if (told := _causes(values)) else {}
     return {
         "settle step": f"{settled} of {values['shown_steps']}" if settled is not None else "not settled",
         "centroid error": f"{number(x, '.2f')} % along, {number(y, '.2f')} % across",
-        "IoU": f"{ended} at the last step, {without} without control (open loop) at the last step{late}",
+        "IoU": f"{mean} on average; {late} and {least} at least in the second half; at the last step {ended}, {without} without control",
+        **causes,
         "overshoot": number(values["overshoot_percent"], ".1f", " %"),
         "lost steps": f"{values['lost_steps']}{_lost_details(values)}",
     }
+
+
+def _causes(values: Summary) -> str:
+    """Mean IoU of a symbol drawn otherwise; empty without `judge_causes`."""
+    found = {what: values[f"{key}_mean"] for key, what in DRAWN.items()}
+    return ", ".join(f"{iou:.3f} {what}" for what, iou in found.items() if iou is not None)
 
 
 def _lost_details(values: Summary) -> str:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
 from luxloop.loop.recording.remedies import SHADOW, remedies, why_no_metrics
-from luxloop.loop.recording.summary import Summary, column
+from luxloop.loop.recording.summary import DRAWN, Summary, column
 from luxloop.loop.report.facts import borders_deg
 from luxloop.loop.report.highlights import SymbolHistory
 from luxloop.loop.report.style import FOUR, SHARES, STYLE, columns, field, heading, no_frame, rows
@@ -40,6 +40,7 @@ TARGET, PATH, LOST = "#00c8ff", "#ff2020", "#d55e00"
 HIGH_IN = 9.4  # height of a symbol's part of a page
 TITLE, NOTE = 125, 175  # characters of a line as wide as the page
 WHY = 40  # characters of a line in a chart
+OTHERWISE = (("black", "--"), (FOUR[2], "-"), (FOUR[3], "-"), ("0.5", "-"))  # colour and line of each curve of `DRAWN`
 FEW_STEPS = 60  # steps up to which curves have markers
 LEAST_M, LEAST_DEG = 0.01, 0.1  # least range of the axes of poses to both sides
 
@@ -83,8 +84,10 @@ def _title(simulation: Simulation, name: str, summary: Summary, shadow: str | No
     unsettled = summary["unsettled"]
     settled = f"settled at step {summary['settle_step']}" if unsettled is None else f"not settled: {unsettled.replace('_', ' ')}"
     x, y = (number(value, ".1f") for value in summary["centroid_error_percent"])
-    iou, without = (number(summary[key], ".2f") for key in ("iou_final", "iou_open"))
-    return f"{who}  ·  {settled}  ·  IoU {iou}, without control {without}, both at the last step  ·  centroid error {x} %, {y} %{lost}"
+    mean, mean_open, ended, ended_open = (number(summary[key], ".2f") for key in ("iou_mean", "iou_open_mean", "iou_final", "iou_open"))
+    last = f"{ended} at the last step, {ended_open} there without control"
+    iou = f"IoU {mean} on average, {last if summary['iou_open_mean'] is None else f'{mean_open} without control'}"
+    return f"{who}  ·  {settled}  ·  {iou}  ·  centroid error {x} %, {y} %{lost}"
 
 
 def _courses(figure: SubFigure, target: SymbolFunctionParams, history: SymbolHistory, table: pa.Table, summary: Summary) -> None:
@@ -140,7 +143,11 @@ def _courses(figure: SubFigure, target: SymbolFunctionParams, history: SymbolHis
     _line(overlap, steps, column(table, "iou"), color="black", label="IoU")
     if why := why_no_metrics(summary):
         truth.text(0.5, 0.5, fill(why, WHY), transform=truth.transAxes, ha="center", va="center", color="0.4")
-    if summary["iou_open"] is not None:
+    known = {key: summary.get(f"{key}_mean") for key in DRAWN}
+    for (key, mean), (colour, line) in zip(known.items(), OTHERWISE, strict=True):
+        if mean is not None:
+            _line(overlap, steps, column(table, key), color=colour, ls=line, lw=1, label=f"{DRAWN[key]}: {mean:.2f}")
+    if known["iou_open"] is None and summary["iou_open"] is not None:
         overlap.axhline(summary["iou_open"], color="black", ls="--", lw=1, label="IoU without control, at the last step")
     overlap.set(ylim=(0, 1), ylabel="IoU with the target")
     heading(truth, "How the symbol lies, without noise", overlap)

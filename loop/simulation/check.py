@@ -147,6 +147,7 @@ def check_truth(scenario: Scenario, known: bool) -> None:
     needs = {
         "detector.kind": (isinstance(scenario.detector, TruthParams), "give a detector that looks at frames"),
         "objects": (objects, "give a [detector] that finds them in frames, or take them out"),
+        "judge_causes": (scenario.judge_causes, "leave it out"),
         "judge_projections": (scenario.judge_projections, "leave it out"),
         "probes": (bool(scenario.probes), "take them out, or --probe"),
         "lighting.street_lamps": (lighting.street_lamps, "leave it out"),

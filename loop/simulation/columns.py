@@ -47,10 +47,20 @@ def symbol_columns(degrees: Sequence[DegreeOfFreedom]) -> dict[str, tuple[str, s
         "ssim": ("1", "evaluator: structural similarity to the target"),
         "length": ("1", "evaluator: second-moment length relative to the target's"),
         "shear": ("1", "evaluator: shear mu11 / mu20 on the road plane"),
+        "road_true_m": ("m", "evaluator: mean height of the road in the target's area, above the plane of the ground"),
+        "road_believed_m": ("m", "evaluator: the same as the controller's height map has it; empty without a map"),
     }
 
 
 SYMBOL = symbol_columns(DEGREES)
+
+# with judge_causes
+CAUSES = {
+    "iou_open": ("1", "evaluator: IoU of the symbol in open loop"),
+    "iou_true_pose": ("1", "evaluator: IoU of the symbol drawn for the body's true pose; empty if the controller has no height map"),
+    "iou_true_road": ("1", "evaluator: IoU of the symbol drawn for the true road; empty if the controller has no height map"),
+    "iou_true": ("1", "evaluator: IoU of the symbol drawn for the true road from the true pose, the best that the lamp can show"),
+}
 
 PROJECTION = {
     "aside_m": ("m", "evaluator: largest distance of the seen symbol from the vehicle's course"),
@@ -70,6 +80,7 @@ OF_TRUTH = {
     "symbol_iou_min",
     "luminance",
     *LOOKING_OF_TRUTH,
+    *CAUSES,
     *PROJECTION,
     *(key for key in SYMBOL if SYMBOL[key][1].startswith("evaluator: ")),
 }
@@ -77,7 +88,7 @@ OF_TRUTH = {
 
 def of_truth(column: str) -> bool:
     """Whether a column is missing or empty without the truth."""
-    return column.startswith(("objects.", "probes.")) or column.rpartition(".")[2] in OF_TRUTH
+    return column.startswith(("objects.", "probes.", "body.true.")) or column.rpartition(".")[2] in OF_TRUTH
 
 
 def held_in(table: pa.Table) -> list[str]:
@@ -86,8 +97,9 @@ def held_in(table: pa.Table) -> list[str]:
 
 
 def of_one(table: pa.Table, name: str) -> pa.Table:
-    """Step, time and the SYMBOL columns of one symbol, for the steps in which it is shown."""
-    names = {"step": "step", "time_s": "time_s", **{key: f"functions.{name}.{key}" for key in SYMBOL}}
+    """Step, time, the SYMBOL columns of one symbol and its CAUSES if known, for the steps in which it is shown."""
+    known = [key for key in CAUSES if f"functions.{name}.{key}" in table.column_names]
+    names = {"step": "step", "time_s": "time_s", **{key: f"functions.{name}.{key}" for key in [*SYMBOL, *known]}}
     found = pa.table({key: table[column] for key, column in names.items()})
     return found.filter(found["x_m"].is_valid())
 

@@ -1,6 +1,6 @@
 """Closed-loop symbols among the lighting functions: drawing, measurement and control."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -14,6 +14,7 @@ from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.situation import LAYERS
 from luxloop.controllers.symbol import ControllerParams, build_controller
 from luxloop.controllers.symbol.heights.feedforward import OpenLoopParams
+from luxloop.controllers.symbol.heights.height_map import Belief
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import Projector
 from luxloop.controllers.symbol.sensing.protocol import Observation, Projection, SymbolController
@@ -72,6 +73,11 @@ class ControlledSymbol:
     def in_open_loop(self) -> "ControlledSymbol":
         """The symbol in open loop, drawn at its target for a flat road."""
         return replace(self, controller=build_controller(OpenLoopParams(), self.sensor))
+
+    def belief(self, state: SymbolState, ego: Ego | None) -> Belief | None:
+        """What the controller believes about road and body at the next exposure; None without a height map."""
+        belief: Callable[[Any, Ego | None], Belief] | None = getattr(self.controller, "belief", None)
+        return None if belief is None else belief(state.controller, ego)
 
     def start(self) -> SymbolState:
         """The state before the first measurement."""

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -18,9 +19,10 @@ from luxloop.controllers.symbol.sensing.field import cut
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.scenario.model import Scenario, only
+from luxloop.loop.simulation.causes import redrawn
 from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.detection import DetectionPipeline, Recognition, false_positives, name_of, recognise
-from luxloop.loop.simulation.lamps import LampDriver
+from luxloop.loop.simulation.lamps import LampDriver, attitude
 from luxloop.loop.simulation.light_figures import (
     DUE_S,
     InZone,
@@ -43,22 +45,30 @@ from luxloop.loop.simulation.road_metrics import over_setpoint
 from luxloop.loop.simulation.world import ObjectLight, World, categories
 from luxloop.perception.detection.detector import Detections
 from luxloop.perception.eye import threshold_increment
-from luxloop.perception.metrics import Metrics
+from luxloop.perception.metrics import Metrics, evaluate
 from luxloop.perception.tracking import TrackedBoxes
 from luxloop.world.headlight.lamp import Commands
-from luxloop.world.scene.vehicle import VehiclePath
+from luxloop.world.scene.vehicle import STANDING, VehiclePath
+
+UNKNOWN = torch.tensor(math.nan)
 
 
 @dataclass(frozen=True, eq=False)
 class SymbolStep:
     """A closed-loop symbol in one step. projection: the projection shown. cut: `[4]`, shares beyond the borders of the lamps' field
     (`luxloop.controllers.symbol.sensing.field`). measurement: from the newest frames. metrics: None in a step without evaluation.
+    road_true_m, road_believed_m: `[]`, mean height of the road, and of the controller's height map, in the target's area, above the plane
+    of the ground; NaN if unknown or without evaluation. causes: IoU `[]` of the symbol drawn otherwise, by column of `CAUSES`; none without
+    evaluation or `judge_causes`.
     """
 
     projection: ProjectionCommand
     cut: Tensor
     measurement: Measurement
     metrics: Metrics | None
+    road_true_m: Tensor = UNKNOWN
+    road_believed_m: Tensor = UNKNOWN
+    causes: Mapping[str, Tensor] = field(default_factory=dict)
 
     @property
     def pose(self) -> Tensor:
@@ -112,7 +122,8 @@ class Evaluation(StepResult):
     symbols by name. zones, materials: by name. road_lx_ratio_max: see `over_setpoint`, None in a step without evaluation. oncoming_s:
     start times, by name, of near oncoming road users. probes: illuminance in lx by name, a mean over the exposures. glare: by name of a
     probe that is an eye. projections: symbols on the road as the driver sees them, by name; none in a step without evaluation, or without
-    `judge_projections`. rules: number of requirements that the base beam fails, by rule that a check names.
+    `judge_projections`. rules: number of requirements that the base beam fails, by rule that a check names. body: heave in m, roll and
+    pitch in deg of the body over the ground, "true" at the start of the step and as "measured" last; of moving vehicles.
     """
 
     masked: frozenset[str]
@@ -130,6 +141,7 @@ class Evaluation(StepResult):
     glare: Mapping[str, Glare]
     projections: Mapping[str, ProjectionMetrics]
     rules: Mapping[str, int]
+    body: Mapping[str, tuple[float, float, float]]
 
     @property
     def symbol(self) -> SymbolStep:
@@ -197,7 +209,7 @@ class Evaluator:
             objects=objects,
             detections=detections,
             symbols=self._observed_symbols(result),
-            held=self._held(result, self._metrics(result) if due else {}),
+            held=self._held(result, due),
             zones=in_zones(self.planner.functions, result.planning.functions, luminance, view),
             materials=materials,
             road_lx_ratio_max=self._road_ratio(result) if due else None,
@@ -206,6 +218,7 @@ class Evaluator:
             glare=self._glare(result),
             projections=self._projections(result) if due else {},
             rules=self._rules(result.plan, before),
+            body=self._body(result),
         )
         clock.lap("look")
         return replace(
@@ -302,12 +315,24 @@ class Evaluator:
         whitened = [light.u for light in self.lamps.drive(white, result.now)[0]]
         return observed_symbols(result.plan, result.lights, whitened, self._meter, result.now)
 
-    def _held(self, result: StepResult, metrics: Mapping[str, Metrics]) -> Mapping[str, SymbolStep]:
-        """The closed-loop symbols, by name."""
-        return {
-            name: SymbolStep(each, cut(self.controlled[name].projector, each), result.control.measurements[name], metrics.get(name))
-            for name, each in result.planning.projections.items()
-        }
+    def _body(self, result: StepResult) -> Mapping[str, tuple[float, float, float]]:
+        """Heave in m, roll and pitch in deg of the body, by source; empty for a standing vehicle."""
+        found = {}
+        if self.world is not None and self.world.motion is not STANDING:
+            now = self.world.motion.at(result.time_s)
+            found["true"] = now.heave_m, math.degrees(now.roll_rad), math.degrees(now.pitch_rad)
+        if result.sense.ego is not None:
+            heave_m, *angles = result.sense.ego.attitude.tolist()
+            found["measured"] = heave_m, *map(math.degrees, angles)
+        return found
+
+    def _held(self, result: StepResult, due: bool) -> Mapping[str, SymbolStep]:
+        """The closed-loop symbols, by name. due: whether they are evaluated."""
+        found = {}
+        for name, each in result.planning.projections.items():
+            figures = {"metrics": None} | (self._figures(result, name) if due else {})
+            found[name] = SymbolStep(each, cut(self.controlled[name].projector, each), result.control.measurements[name], **figures)
+        return found
 
     def _road_ratio(self, result: StepResult) -> float | None:
         """Largest ratio of illuminance to setpoint on the road; None without a detector, functions, or metered light."""
@@ -316,14 +341,31 @@ class Evaluator:
         lit = self._meter.lit(result.now.time_s)
         return over_setpoint(self.lamps.aim(result.now), result.plan, result.exposures[0].lights, lit)
 
-    def _metrics(self, result: StepResult) -> Mapping[str, Metrics]:
-        """Metrics of each measured symbol, from the light with the symbol minus the light without it."""
-        metrics, now, planning = {}, result.now, result.planning
-        on, off = result.exposures[0].lights, result.exposures[-1].lights
-        for name in planning.measured:
-            if len(planning.measured) > 1:
-                off = self._lights_without(result, name)
-            evaluator = self.controlled[name].evaluator
-            assert evaluator is not None and self.world is not None
-            metrics[name] = evaluator.evaluate(self.world.added(now.time_s, on, off, now.commands), now.time_s)
-        return metrics
+    def _figures(self, result: StepResult, name: str) -> dict[str, Any]:
+        """Figures of a symbol, if measured, in an evaluated step, from the light with the symbol minus the light without it."""
+        now, measured, symbol = result.now, result.planning.measured, self.controlled[name]
+        if name not in measured:
+            return {}
+        evaluator, world, belief = symbol.evaluator, self.world, symbol.belief(result.planning.symbols[name], result.sense.ego)
+        assert evaluator is not None and world is not None
+        off = result.exposures[-1].lights if len(measured) == 1 else self._lights_without(result, name)
+        plane, causes = evaluator.plane_at(now.time_s), {}
+
+        def metrics(lights: Lights) -> Metrics:
+            return evaluate(world.added(now.time_s, lights, off, now.commands), plane, evaluator.goal)
+
+        if self.scenario.judge_causes:
+            drawn = redrawn(symbol, belief, world.motion.at(now.time_s), evaluator.road)
+            causes = {key: metrics(self.redraw(result, name, each)).iou for key, each in drawn.items()}
+        return {
+            "metrics": metrics(result.exposures[0].lights),
+            "road_true_m": evaluator.heights(now.time_s).mean(),
+            "road_believed_m": UNKNOWN if belief is None else belief.heights(*evaluator.area[:2].to(world.device).float()).mean(),
+            "causes": causes,
+        }
+
+    def redraw(self, result: StepResult, name: str, projection: ProjectionCommand) -> Lights:
+        """Light of a step with another projection of a symbol."""
+        ego, planning = result.sense.ego, result.planning
+        drawn = {**planning.drawn, name: self.controlled[name].command(projection, None if ego is None else attitude(ego))}
+        return self.lamps.drive(self.planner.compose(result.now, planning.functions, drawn), result.now)[0]

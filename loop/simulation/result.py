@@ -48,12 +48,14 @@ class Sense:
 
 @dataclass(frozen=True, eq=False)
 class StepPlan:
-    """Planned light of a step. functions: states of the lighting functions. projections: by symbol. drawn: primitives by function.
+    """Planned light of a step. functions: states of the lighting functions. symbols: controller states before the step. projections: by
+    symbol. drawn: primitives by function.
 
     measured: names of symbols shown in the first exposure only. plans: with all symbols, and without the measured symbols.
     """
 
     functions: States
+    symbols: Mapping[str, SymbolState]
     projections: Projections
     drawn: Parts
     measured: tuple[str, ...]

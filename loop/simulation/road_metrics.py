@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
 
 import torch
 from torch import Tensor
@@ -22,6 +24,7 @@ from luxloop.world.headlight import Headlight
 from luxloop.world.roads.base import Road
 from luxloop.world.scene.vehicle import STANDING
 
+AREA: Final = (21, 11)  # points along and across the target, for the mean height of the road
 LEAST_LX = 1.0  # on a surface facing the lamps; less is invisible to road users
 
 
@@ -54,6 +57,18 @@ class SymbolEvaluator:
     def evaluate(self, luminance: Tensor, time_s: float) -> Metrics:
         """Metrics at a time. luminance: `[height, width]` cd/m^2 of the symbol alone."""
         return evaluate(luminance, self.plane_at(time_s), self.goal)
+
+    @cached_property
+    def area(self) -> Tensor:
+        """Points `[3, *AREA]` m of the target's area on the plane of the ground."""
+        symbol = self.symbol
+        along, across = (torch.linspace(-0.5, 0.5, n, dtype=torch.float64) for n in AREA)
+        x, y = torch.meshgrid(symbol.x_m + symbol.length_m * along, symbol.y_m + symbol.width_m * across, indexing="ij")
+        return torch.stack([x, y, 0 * x])
+
+    def heights(self, time_s: float) -> Tensor:
+        """Heights `[1, N]` m of the road above the points of `area` at a time."""
+        return _heights(self.area.flatten(1), self.road, self.world, time_s)
 
     def road_m(self, times_s: Sequence[float]) -> float:
         """Height in m of the road above the ground plane on the target's middle line, of largest magnitude over the times."""

@@ -244,7 +244,7 @@ class Simulation:
         plans = [self.planner.compose(sense.now, state.functions, drawn)]
         if measured:
             plans.append(self.planner.compose(sense.now, state.functions, without(drawn, measured)))
-        return StepPlan(state.functions, projections, drawn, measured, tuple(plans))
+        return StepPlan(state.functions, state.symbols, projections, drawn, measured, tuple(plans))
 
     def _drive(self, planning: StepPlan, sense: Sense) -> Drive:
         """Utilisations and symbols of each exposure."""

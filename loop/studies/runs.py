@@ -271,6 +271,8 @@ def _results(copies: Copies, first: Evaluation, steps: Sequence[_Step], k: int) 
         projection = ProjectionCommand(each.projection.pose[k], None if each.projection.z is None else each.projection.z[k])
         metrics = each.metrics and Metrics(*(value[k] for value in vars(each.metrics).values()))
         held = SymbolStep(projection, each.cut[k], each.measurements[k], metrics)
+        if metrics is not None:  # what does not depend on the controller is the same in all steps
+            held = replace(held, road_true_m=first.held[name].road_true_m, causes=first.held[name].causes)
         on = [*resting]
         for module, drawn in zip(copies.symbol.drawn_by, each.sums[k].tolist(), strict=True):
             on[module] = drawn

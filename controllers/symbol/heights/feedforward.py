@@ -13,7 +13,7 @@ from torch import Tensor
 
 from luxloop.controllers.symbol.heights.forward_model import ForwardModel
 from luxloop.controllers.symbol.heights.height_controller import region_of
-from luxloop.controllers.symbol.heights.height_map import HeightMap, draw_on
+from luxloop.controllers.symbol.heights.height_map import Belief, HeightMap
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
 from luxloop.controllers.symbol.sensing.protocol import Observation
@@ -82,11 +82,16 @@ class Feedforward(OpenLoop):
             plane = HERE if symbol.target == "appearance" else plane_of(params.road.z, symbol)
             eye = transform(inverse(plane), camera_view(sensor.camera).origin[:, None])[:, 0]
             relief = height_map_of(params.road.z, region_around(sensor), eye, params.offset_m, plane)
-        self.drawn = draw_at_rest(relief, sensor, plane)
+        self.believed = Belief(relief, plane, HERE)
+        self.drawn = self.believed.draw(sensor.projector)
 
     def start(self, pose: Tensor) -> ProjectionCommand:
         """The symbol for the known road, whatever the pose `[4]`."""
         return self.drawn
+
+    def belief(self, state: ProjectionCommand, ego: Ego | None) -> Belief:
+        """The known road under a level body."""
+        return self.believed
 
 
 @dataclass(frozen=True)
@@ -143,7 +148,7 @@ class MeasuringFeedforward:
             return MeasuringState(missing, tuple(seen))
         relief = self.relief(tuple(seen))
         relief = replace(relief, heights=relief.heights + self.params.offset_m)
-        return MeasuringState(state.next, tuple(seen), draw_at_rest(relief, self.sensor))
+        return MeasuringState(state.next, tuple(seen), Belief(relief, HERE, HERE).draw(self.sensor.projector))
 
     def relief(self, seen: tuple[Tensor | None, ...]) -> HeightMap:
         """The road measured by the contrasts of all patterns."""
@@ -191,13 +196,6 @@ class MeasuringFeedforward:
 def region_around(sensor: SymbolSensor) -> Region:
     """Region of the plane that the symbol's light crosses on roads of any height."""
     return region_of(sensor.projector.params, *BEYOND_M)
-
-
-def draw_at_rest(relief: HeightMap, sensor: SymbolSensor, T_ground_plane: Tensor = HERE) -> ProjectionCommand:
-    """Command of a standing vehicle for a height map relative to a plane at `[4, 4]`."""
-    symbol = sensor.projector.params
-    lamps = torch.stack([module.T_body_headlight[:3, 3] for module in sensor.projector.modules], 1).to(T_ground_plane)
-    return draw_on(relief, transform(inverse(T_ground_plane), lamps).T, symbol, T_ground_plane, symbol.target == "place")
 
 
 def plane_of(z: Callable[[Floats, Floats], Floats], symbol: SymbolParams) -> Tensor:

@@ -12,7 +12,7 @@ from torch import Tensor
 from luxloop.controllers.symbol.heights.body_filter import BodyFilter, BodyParams
 from luxloop.controllers.symbol.heights.body_poses import AT_REST, BodyPoses, BodyPrediction, ground_at
 from luxloop.controllers.symbol.heights.forward_model import ForwardModel
-from luxloop.controllers.symbol.heights.height_map import draw_on
+from luxloop.controllers.symbol.heights.height_map import Belief
 from luxloop.controllers.symbol.heights.registration import BLURS, COARSE, FINE, HEIGHT_M, Blur, Heights, Registration, plane_sweep
 from luxloop.controllers.symbol.heights.road_map import RoadMap
 from luxloop.controllers.symbol.sensing.field import aim, elsewhere
@@ -103,8 +103,7 @@ class HeightController:
         self.cached_draw = keeping(1, self._draw)
         self.registration = self.over(HERE)[1]
         self.nothing = self._nothing(self.registration)  # the empty road map of a standing vehicle
-        lamps = torch.stack([module.T_body_headlight[:3, 3].cpu().double() for module in self.projector.modules])
-        self.ends = torch.stack([camera_view(sensor.camera).origin, *lamps], 1)  # in the body frame
+        self.eye = camera_view(sensor.camera).origin  # in the body frame
         self.in_flight = sensor.camera.latency_steps + sensor.camera.latency_spread_steps + 2
         self.tried = torch.linspace(-params.highest_m, params.highest_m, HEIGHTS, device=self.projector.symbol.device)
 
@@ -119,14 +118,22 @@ class HeightController:
 
     def projection(self, state: HeightControllerState, ego: Ego | None) -> ProjectionCommand:
         """The command for the estimated road and the predicted pose of the body."""
+        return self._draw(*self._predict(state, ego)) if state.projection is None else state.projection
+
+    def belief(self, state: HeightControllerState, ego: Ego | None) -> Belief:
+        """The estimated road and the predicted pose of the body at the next exposure."""
+        return self._belief(*self._predict(state, ego))
+
+    def _predict(self, state: HeightControllerState, ego: Ego | None) -> tuple[RoadMap, BodyPrediction]:
+        """Road map and body at the next exposure."""
         if state.projection is not None:
-            return state.projection
+            return state.road_map, AT_REST
         body = self._filter(state.body, ego)
         assert ego is not None and body is not None  # or it would stand
         now = body.at_last_observation()
         road_map = state.road_map.tilt(now.level_rad - state.level_rad, body.pivot_x_m)
         ground = ground_at(ego, state.time_s) if state.ground is None else state.ground
-        return self._draw(road_map, BodyPrediction.of(ego, now, state.time_s, ground))
+        return road_map, BodyPrediction.of(ego, now, state.time_s, ground)
 
     def step(self, state: HeightControllerState, observation: Observation) -> HeightControllerState:
         """Update body filter and road map. The open loop stays unless heights explain the image better than a flat road.
@@ -274,7 +281,7 @@ class HeightController:
         """The road map of a road of shape `[4]`, relative to the plane of the symbol on that road."""
         symbol = self.projector.params
         rise = float((shape - (0 if before.shape is None else before.shape)) @ shape.new_tensor([1.0, 0.0, symbol.y_m, 0.0]))
-        plane = aim(shape, symbol, self.projector.modules, self.ends[:, 0])
+        plane = aim(shape, symbol, self.projector.modules, self.eye)
         nothing = replace(self._nothing(self.over(plane)[1]), T_ground_plane=plane)
         believed = _assume_heights(nothing, self._heights(shape, nothing))
         return replace(believed, shape=shape, searched=before.searched + 1, settled=abs(rise) < SAME_M)
@@ -305,14 +312,14 @@ class HeightController:
     def _draw(self, road_map: RoadMap, prediction: BodyPrediction = AT_REST) -> ProjectionCommand:
         """The command for the estimated road and the predicted pose of the body."""
         symbol, plane = self.projector.params, road_map.T_ground_plane
-        T_plane_body = prediction.body if plane.equal(HERE) else inverse(plane) @ prediction.body
-        T_body_plane = inverse(T_plane_body)
         if not (road_map.heights.any_information or road_map.heights.base.any()):
-            return flat_command(self.projector.target, T_body_plane)
-        ends = transform(T_plane_body, self.ends).T.to(road_map.eye)
-        relief = road_map.relief_from(prediction.until, ends[0])
-        projection = draw_on(relief, ends[1:], symbol, T_body_plane, symbol.target == "place" or not plane.equal(HERE))
-        return replace(projection, aim=elsewhere(plane, symbol))
+            return flat_command(self.projector.target, inverse(prediction.over(plane)))
+        return replace(self._belief(road_map, prediction).draw(self.projector), aim=elsewhere(plane, symbol))
+
+    def _belief(self, road_map: RoadMap, prediction: BodyPrediction) -> Belief:
+        plane = road_map.T_ground_plane
+        eye = transform(prediction.over(plane), self.eye[:, None])[:, 0].to(road_map.eye)
+        return Belief(road_map.relief_from(prediction.until, eye), plane, prediction.body)
 
     def _nothing(self, registration: Registration) -> RoadMap:
         """The empty road map."""

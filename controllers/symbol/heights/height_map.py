@@ -8,8 +8,9 @@ from torch import Tensor
 from torch.nn.functional import grid_sample, interpolate
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
-from luxloop.controllers.symbol.sensing.projector import SymbolParams
+from luxloop.controllers.symbol.sensing.projector import Projector, SymbolParams
 from luxloop.controllers.symbol.sensing.road_shape import (
+    HERE,
     LEAST_HEIGHT_M,
     below_lamps,
     bounding_rectangle,
@@ -122,6 +123,33 @@ def draw_on(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, T_body_groun
     down, right = (_finer(n, coarse.dtype, coarse.device) for n in (rows, cols))
     fine = down @ coarse @ right.T  # [m, 3, *CELLS]
     return ProjectionCommand(*pose_of_rectangle(T_body_ground.to(T) @ T), Warp(fine[:, :2], fine[:, 2], size_m))
+
+
+@dataclass(frozen=True)
+class Belief:
+    """A controller's belief about road and body at an exposure.
+
+    relief: height map over a plane. T_ground_plane, T_ground_body: poses `[4, 4]` of the plane and of the body.
+    """
+
+    relief: HeightMap
+    T_ground_plane: Tensor
+    T_ground_body: Tensor
+
+    def draw(self, projector: Projector) -> ProjectionCommand:
+        """The command that shows the symbol on the believed road."""
+        symbol, plane = projector.params, self.T_ground_plane
+        T_plane_body = self.T_ground_body if plane.equal(HERE) else inverse(plane) @ self.T_ground_body
+        lamps = transform(T_plane_body, torch.stack([each.T_body_headlight[:3, 3] for each in projector.modules], 1).to(T_plane_body)).T
+        return draw_on(self.relief, lamps, symbol, inverse(T_plane_body), symbol.target == "place" or not plane.equal(HERE))
+
+    def heights(self, x: Tensor, y: Tensor) -> Tensor:
+        """Believed height `[h, w]` m of the road above the plane of the ground at ground coordinates `[h, w]` m."""
+        T = self.T_ground_plane.to(x)
+        (slope_x, slope_y, rise), middle = T[:3, 2], T[:3, 3]
+        z = middle[2] - (slope_x * (x - middle[0]) + slope_y * (y - middle[1])) / rise  # of the plane
+        on_plane = transform(inverse(T), torch.stack([x, y, z]).flatten(1)).view(3, *x.shape)
+        return z + self.relief.under(*on_plane[:2])[0] / rise
 
 
 def _patch(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, in_place: bool) -> tuple[Tensor, tuple[float, float], float]:

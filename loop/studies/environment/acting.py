@@ -15,10 +15,11 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from luxloop.controllers.symbol.feedback import ThesisPid, ThesisPidParams, ThesisPidState
-from luxloop.controllers.symbol.heights.feedforward import CELL_M, draw_at_rest, region_around
-from luxloop.controllers.symbol.heights.height_map import HeightMap
+from luxloop.controllers.symbol.heights.feedforward import CELL_M, region_around
+from luxloop.controllers.symbol.heights.height_map import Belief, HeightMap
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation
+from luxloop.controllers.symbol.sensing.road_shape import HERE
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from luxloop.perception.appearance import DEGREES
 from luxloop.perception.camera import camera_view
@@ -137,7 +138,8 @@ class Heights:
         cells = [round((far - near) / CELL_M) for far, near in ((region.x_far_m, region.x_near_m), (region.y_left_m, region.y_right_m))]
         heights = interpolate(state[None, None], cells, mode="bilinear", align_corners=True)[0, 0]
         eye = camera_view(self.sensor.camera).origin
-        return draw_at_rest(HeightMap(region, eye.float(), heights, torch.ones_like(heights)), self.sensor)
+        relief = HeightMap(region, eye.float(), heights, torch.ones_like(heights))
+        return Belief(relief, HERE, HERE).draw(self.sensor.projector)
 
     def step(self, state: Tensor, observation: Observation) -> Tensor:
         return state

@@ -178,6 +178,7 @@ def test_a_class_with_a_dot_for_its_colon_is_told_how_to_be_written():
     [
         ("snowflake", "detector_frames=off", "detector_frames: there is no detector here"),
         ("snowflake", "detector_every=2", "detector_every: there is no detector here"),
+        ("obl", "judge_causes=true", "judge_causes: there is no symbol with a controller here"),
         ("obl", "judge_projections=true", "judge_projections: there is no symbol on the road here"),
         ("obl", "detector_frames=off", "detector_frames: there is no symbol that a controller holds here"),
         ("obl", "off_share=0.3", "off_share: no controller holds a symbol here; leave it out"),
@@ -191,7 +192,8 @@ def test_what_means_nothing_without_something_else_is_told(name, override, said)
 
 
 def test_projections_without_an_evaluated_step_are_refused():
-    assert "judge_projections: judge_every = 0 evaluates no step" in failure("snowflake", "judge_projections=true", "judge_every=0")
+    for key in ("judge_causes", "judge_projections"):
+        assert f"{key}: judge_every = 0 evaluates no step" in failure("snowflake", f"{key}=true", "judge_every=0")
 
 
 DEEP, LONG = "[" * 3000 + "]" * 3000, "9" * 5000

@@ -1,0 +1,54 @@
+"""Causes of an IoU: what is recorded of body and road, and the symbol drawn for the true ones."""
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from luxloop import load
+from luxloop.loop.recording.manifest import table_of
+from luxloop.loop.recording.record import row, schema
+from luxloop.loop.recording.summary import column
+from tests.lamps import SMALL_LAMP
+from tests.loop.conftest import simulation_of
+
+SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=320", "camera.height_px=240", "camera.oversampling=2", "judge_causes=true"]
+CAUSES = ("iou_open", "iou_true_pose", "iou_true_road", "iou_true")
+NODS = "vehicle={course=[{speed_m_s=10}], oscillation={pitch_deg=0.4, rate_hz=1.2}}"
+EXACT = [f"sensors.{key}=0" for key in ("gyro.noise_deg_s", "attitude.noise_deg", "attitude.heave_noise_m", "attitude.delay_s")]
+
+
+def recorded(name: str, *changes: str, steps: int) -> pa.Table:
+    simulation = simulation_of(load(name, [*SMALL, *changes], steps=steps))
+    return table_of([row(each) for each in simulation.evaluations()], schema(simulation))
+
+
+def of_symbol(table: pa.Table, *names: str) -> list[np.ndarray]:
+    return [column(table, f"functions.symbol.{name}") for name in names]
+
+
+def test_a_controller_that_knows_the_true_road_gains_nothing_by_it():
+    road = "{kind='iso8608', roughness_class='D', seed=15}"
+    table = recorded("flat", f"road={road}", f"functions.symbol.controller={{name='feedforward', road={road}}}", steps=1)
+    true_m, believed_m = of_symbol(table, "road_true_m", "road_believed_m")
+    assert abs(true_m) > 0.005 and believed_m == pytest.approx(true_m, abs=1e-3)  # heights are known every 0.1 m on the plane
+    iou, iou_open, *others = of_symbol(table, "iou", *CAUSES)
+    assert np.array_equal(others, [iou] * 3) and iou > iou_open
+
+
+def test_the_open_loop_beside_is_that_of_a_run_without_control():
+    held, opened = (recorded("driving", f"functions.symbol.controller={{name='{name}'}}", steps=4) for name in ("luxloop", "open"))
+    assert np.array_equal(*(of_symbol(table, key)[0] for table, key in ((held, "iou_open"), (opened, "iou"))))
+    assert np.array_equal(*(of_symbol(table, "iou_true")[0] for table in (held, opened)))
+    assert all(np.isnan(each).all() for each in of_symbol(opened, "iou_true_pose", "iou_true_road", "road_believed_m"))
+
+
+def test_a_body_that_is_measured_late_costs_what_its_true_pose_gives_back():
+    table = recorded("driving", "road.kind='flat'", NODS, *EXACT[:-1], "sensors.attitude.delay_s=0.1", steps=12)
+    true, measured = (column(table, f"body.{each}.pitch_deg") for each in ("true", "measured"))
+    assert measured[3:] == pytest.approx(true[:-3], abs=1e-4)  # 0.1 s are three steps
+    iou, pose, both = (each.mean() for each in of_symbol(table, "iou", "iou_true_pose", "iou_true"))
+    assert iou < pose < both + 0.02
+
+
+def test_nothing_is_drawn_anew_without_being_asked():
+    assert not any("iou_true" in name or name.endswith("iou_open") for name in schema(simulation_of(load("driving", SMALL[:-1]))).names)
