@@ -42,6 +42,7 @@ from .loop.studies.environment.make import make_sb3 as make_sb3
 from .loop.studies.environment.make import make_vec as make_vec
 from .loop.studies.environment.randomised import Randomised as Randomised
 from .loop.studies.environment.randomised import RandomisedVector as RandomisedVector
+from .loop.studies.tune_report import tune as tune
 from .loop.studio.client import Client as Client
 from .loop.studio.client import connect as connect
 from .perception.detection.detector import Detections as Detections

@@ -157,17 +157,9 @@ def tune(
         and their worst. For thesis_pid.
     """
     scenarios = tuple(scenario_of(name, set, controller, allow_code=allow_code) for name in names)
-    from luxloop.loop.run import torch_device
-    from luxloop.loop.studies import objective as objectives
-    from luxloop.loop.studies import ranges
-    from luxloop.loop.studies.tune import Task
-    from luxloop.loop.studies.tune_report import do_tune
+    from luxloop.loop.studies.tune_report import do_tune, task_of
 
-    tuned = tuple(ranges.parse(each, scenarios) for each in key or [])
-    cost = objectives.parse(objective)
-    for scenario in scenarios:
-        cost.refuse(scenario)
-    task = Task(scenarios, tuned, cost, seeds, seed, str(torch_device(device)), robust)
+    task = task_of(scenarios, key or [], objective, seeds, seed, device, robust)
     played_by = shlex.join([names[0], *([] if controller is None else ["--controller", controller]), *(["--set", *set] if set else [])])
     do_tune(task, out or Path("runs") / f"tune-{Path(names[0]).stem}", trials, jobs, gradient, played_by)
 

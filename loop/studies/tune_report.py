@@ -13,12 +13,15 @@ from optuna.trial import TrialState
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.report.style import DEFAULTS, drawing
 from luxloop.loop.report.terminal import number, plural
+from luxloop.loop.run import torch_device
+from luxloop.loop.scenario.model import Scenario, load
 from luxloop.loop.studies import objective, ranges
 from luxloop.loop.studies.gradient import tune_by_gradient
 from luxloop.loop.studies.jobs import local
 from luxloop.loop.studies.margins import LOOPS, LinearLoops, identify, worst
 from luxloop.loop.studies.ranges import with_values
-from luxloop.loop.studies.tune import STUDY, Task, Tuning, note_batches, tune
+from luxloop.loop.studies.tune import STUDY, Task, Tuning, note_batches
+from luxloop.loop.studies.tune import tune as search
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import atomic_write, lock_file
 
@@ -28,18 +31,57 @@ MARGINS = ("loop", "gain margin", "phase margin, °", "Ms", "bandwidth, Hz")
 LEAST_FOR_IMPORTANCES = 10  # trials
 
 
-def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradient: bool, played_by: str) -> Tuning:
-    """Tune; write and print best values and report. played_by: arguments of `luxloop run` before `--set`.
+def tune(  # noqa: PLR0913 (independent options)
+    scenarios: Scenario | str | Path | Sequence[Scenario | str | Path],
+    keys: Sequence[str],
+    folder: Path | str | None = None,
+    *,
+    terms: str = "settling+residual",
+    trials: int = 50,
+    seeds: int = 1,
+    seed: int = 0,
+    jobs: int | None = None,
+    device: str = "auto",
+    gradient: bool = False,
+    robust: bool = False,
+) -> Tuning:
+    """Tune keys of scenarios as `luxloop tune` (docs/tuning.md), and write study, best values and report.
 
-    Raises LuxloopError for invalid settings before anything runs.
+    scenarios: loaded, shipped names or paths; each trial runs all of them. keys: ranges, KEY=LOW:HIGH or KEY=LOW:HIGH:log. folder: by
+    default runs/tune-NAME; an interrupted study continues from there. terms: the objective. trials: their total number. seeds: runs of each
+    scenario a trial, with different noise. seed: of the search. jobs: processes; by default one per core. device: "auto", "cpu" or "cuda".
+    gradient: whether to descend on learnt predictions. robust: whether to run trials with other plant gains and one more late step too.
+    `best` of the result has the values by key and their cost, `given_cost` the cost before. Raises LuxloopError for invalid settings before
+    anything runs.
     """
-    if not task.ranges:
+    given = [scenarios] if isinstance(scenarios, Scenario | str | Path) else scenarios
+    loaded = tuple(each if isinstance(each, Scenario) else load(str(each)) for each in given)
+    task = task_of(loaded, keys, terms, seeds, seed, device, robust)
+    return _tune(task, Path(folder or Path("runs") / f"tune-{loaded[0].name}"), trials, jobs, gradient)[0]
+
+
+def task_of(scenarios: tuple[Scenario, ...], keys: Sequence[str], terms: str, seeds: int, seed: int, device: str, robust: bool) -> Task:
+    """Task of a study. Raises LuxloopError for invalid settings."""
+    if not keys:
         raise LuxloopError("--key: is missing; give keys with ranges, such as --key functions.symbol.controller.position.kp=0.1:2")
-    execute = local(processes)
+    tuned, cost = tuple(ranges.parse(each, scenarios) for each in keys), objective.parse(terms)
+    for scenario in scenarios:
+        cost.refuse(scenario)
+    return Task(scenarios, tuned, cost, seeds, seed, str(torch_device(device)), robust)
+
+
+def _tune(task: Task, folder: Path, trials: int, jobs: int | None, gradient: bool) -> tuple[Tuning, list[list[str]]]:
+    """Tune and write best values and report; returns the table of margins, too."""
+    execute = local(jobs)
     if note := note_batches(task, execute.workers, gradient):
         tables.say(note, stderr=True)
-    tuned = (tune_by_gradient if gradient else tune)(task, folder, trials, execute)
-    margins = write(tuned, folder)
+    tuned = (tune_by_gradient if gradient else search)(task, folder, trials, execute)
+    return tuned, write(tuned, folder)
+
+
+def do_tune(task: Task, folder: Path, trials: int, jobs: int | None, gradient: bool, played_by: str) -> Tuning:
+    """Tune; write and print best values and report. played_by: arguments of `luxloop run` before `--set`."""
+    tuned, margins = _tune(task, folder, trials, jobs, gradient)
     tables.show(tables.plain(("key", "given", "best"), ((f"[bold]{key}[/]", *told) for key, *told in _rows(tuned))))
     if margins:
         tables.show(tables.plain(MARGINS, margins))

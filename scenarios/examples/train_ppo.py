@@ -39,13 +39,15 @@ class Curve(BaseCallback):
 
     def __init__(self, minutes: float) -> None:
         super().__init__()
-        self.began, self.ends_s, self.points = time.monotonic(), 60 * minutes, []
+        self.began, self.ends_s, self.points, self.rewards = time.monotonic(), 60 * minutes, [], []
 
     def _on_step(self) -> bool:
+        self.rewards.append(self.locals["rewards"].mean())
         return time.monotonic() - self.began < self.ends_s
 
     def _on_rollout_end(self) -> None:
-        self.points.append((time.monotonic() - self.began, float(self.locals["rollout_buffer"].rewards.mean())))
+        self.points.append((time.monotonic() - self.began, float(np.mean(self.rewards))))
+        self.rewards.clear()
         print(f"{self.points[-1][0]:5.0f} s  step {self.num_timesteps:6d}  mean reward {self.points[-1][1]:+.3f}", flush=True)
 
 

@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
+import luxloop
 from luxloop import Scenario, Simulation, load
 from luxloop.loop.simulation.result import Rollout
 from luxloop.loop.studies import gradient, objective, ranges
@@ -289,6 +290,14 @@ def test_other_settings_need_another_folder(tmp_path):
     for folder, said in (("study", "study of other settings"), ("a", "is not a study's journal"), ("file", "cannot be written")):
         with refusal(said), study_in(tmp_path / folder, "other"):
             pass
+
+
+def test_programs_tune_as_the_command_does(scenario, tuned, tmp_path):
+    keys = [f"{each.key}={each.low}:{each.high}{':log' if each.log else ''}" for each in tuned.task.ranges]
+    study = {"terms": str(tuned.task.objective), "seeds": tuned.task.seeds, "seed": tuned.task.seed, "device": "cpu"}
+    found = luxloop.tune(scenario, keys, tmp_path, trials=2, jobs=1, **study)
+    costs = [each.value for each in tuned.trials[:2]]
+    assert [each.value for each in found.trials] == pytest.approx(costs, rel=1e-6) and (tmp_path / REPORT).is_file()
 
 
 def test_command(lux):
