@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import torch
 from torch import Tensor
 
 from luxloop.loop.recording.video import NOISY_CRF, VideoWriter
@@ -43,7 +42,7 @@ class Film(VideoWriter):
         super().__init__(path, rate_hz, size, NOISY_CRF if self._onlooker is None else CLEAN_CRF)
 
     def step(self, result: Evaluation) -> None:
-        """Add a step: one frame of the camera, or all frames since the step before, between whose lights they interpolate."""
+        """Add a step: one frame of the camera, or all frames since the step before, each with the light of the nearer step."""
         if self._onlooker is None:
             self._white = white_of(result, self._simulation) if self._white is None else self._white
             self.add(frame_picture(result, self._simulation, self._white))
@@ -54,8 +53,7 @@ class Film(VideoWriter):
             self._exposure_ev = exposure_of(self._onlooker.light(time_s, lights, commands))
         before_s, earlier = self._before or (time_s, lights)
         while (now_s := self._frames / self._rate_hz) <= time_s + ROUNDING_S:
-            share = min(max((now_s - before_s) / max(time_s - before_s, ROUNDING_S), 0.0), 1.0)
-            between = [torch.lerp(a, b, share) for a, b in zip(earlier, lights, strict=True)]
-            self.add(self._onlooker.picture(now_s, between, commands, self._exposure_ev))
+            nearer = earlier if now_s - before_s < time_s - now_s else lights  # a mixture would show symbols twice
+            self.add(self._onlooker.picture(now_s, nearer, commands, self._exposure_ev))
             self._frames += 1
         self._before = time_s, lights

@@ -219,7 +219,10 @@ def facts(car: LitCar, beam: str) -> list[tuple[str, str]]:
         ("beam", beam),
         (f"{side} lamp", f"{plural(sum(module.headlight.n_pixels for module in lamp.modules), 'pixel')}, {sum(fluxes):,.0f} lm"),
         *((f"   {module.name}", _module_facts(module.headlight, flux)) for module, flux in zip(lamp.modules, fluxes, strict=True)),
-        ("peak", f"{brightest.candela / 1e3:.3g} kcd, {brightest.candela / WALL_M**2:.3g} lx at {WALL_M:g} m"),
+        (
+            "peak" if len(car.lamps) == 1 else f"{side} peak",
+            f"{brightest.candela / 1e3:.3g} kcd, {brightest.candela / WALL_M**2:.3g} lx at {WALL_M:g} m",
+        ),
         ("", "even" if brightest.even else f"{_angle(brightest.h_deg, 'right', 'left')}, {_angle(brightest.v_deg, 'up', 'down')}"),
         ("reach", "facing the car, at the road, both lamps" if len(car.lamps) > 1 else "facing the car, at the road"),
         *((f"   {lux:g} lx", _reach(car, lux)) for lux in REACHES_LX),

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from luxloop.world import plugin
-from luxloop.world.errors import LuxloopError, near
+from luxloop.world.errors import LuxloopError, did_you_mean
 from luxloop.world.validation import parsed_toml, read_toml
 
 Override = str | Mapping[str, Any]
@@ -44,11 +44,12 @@ def overridden(data: Mapping[str, Any], overrides: Sequence[Override]) -> dict[s
 
 
 def _refuse_misspelt(functions: Any, changes: Any) -> None:
-    """Raises LuxloopError for a new function without a kind whose name is near that of another one."""
+    """Raises LuxloopError for a new function without a kind, which is another one's name misspelt."""
     if isinstance(functions, dict) and isinstance(changes, dict):
         for name, table in changes.items():
-            if name not in functions and isinstance(table, dict) and "kind" not in table and (meant := near(name, functions)):
-                raise LuxloopError(f"functions.{name}: there is no function {name!r}; did you mean {meant!r}? A new one needs a kind")
+            if name not in functions and isinstance(table, dict) and "kind" not in table:
+                known = did_you_mean(name, functions)
+                raise LuxloopError(f"functions.{name}: there is no function {name!r}; {known}; a new one needs a kind")
 
 
 def _clear(data: Any) -> Any:
