@@ -70,6 +70,7 @@ PROJECTION = {
     "h_deg_max": ("deg", "evaluator: largest angle of the symbol to a side, from a lamp"),
     "v_deg_max": ("deg", "evaluator: highest angle of the symbol, from a lamp; negative below its height"),
     "contrast": ("1", "evaluator: Weber contrast of the symbol to the road within 30' of it, as the driver sees them"),
+    "modulation": ("1", "evaluator: Michelson contrast of the symbol's light between its strokes and gaps, as the driver sees them"),
     "stroke_arcmin": ("arcmin", "evaluator: mean width of the symbol's strokes, as the driver sees them"),
 }
 

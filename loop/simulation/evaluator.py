@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from luxloop.controllers.functions.animations import animate
 from luxloop.controllers.functions.planner import Plan, Planner
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.situation import Situation
@@ -262,7 +263,8 @@ class Evaluator:
         for name, symbol in self.scenario.projections.items():
             if planning.drawn.get(name) or name in planning.projections:
                 off = result.exposures[-1].lights if planning.measured == (name,) else self._lights_without(result, name)
-                found[name] = projection_metrics(self.world, self._path, symbol, now.time_s, lights, off, now.commands)
+                image = animate(self.planner.symbols[symbol.image], symbol.animation, now.time_s - (symbol.start_s or 0.0))
+                found[name] = projection_metrics(self.world, self._path, symbol, image, now.time_s, lights, off, now.commands)
         return found
 
     def _lights_without(self, result: StepResult, name: str) -> tuple[Utilisation, ...]:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import grid_sample
 
 from luxloop.controllers.functions.symbol import DRIVER_M, SymbolFunctionParams
 from luxloop.controllers.pixels.ssc import Utilisation
@@ -35,7 +36,9 @@ class ProjectionMetrics:
     intensity of one lamp towards it. h_deg_max, v_deg_max: largest angle from a lamp to the side, and up from its horizontal plane.
     contrast: `(L - L_b) / L_b` of the mean luminances of symbol and surround, the road within 30' of it that has at most 5 % of its light
     (Weber contrast, as in Appl. Sci. 2023, 13, 2964). stroke_arcmin: mean width of its strokes as the driver sees them, four times the
-    mean distance from their edges. Light that fills the view has neither contrast nor strokes.
+    mean distance from their edges. modulation: `(L - L_g) / (L + L_g)` of the symbol's mean light on its strokes and in the gaps between
+    and beside them, within its rectangle (Michelson contrast): near 1 for a sharp one, 0 for a blob; NaN for a symbol without gaps. Light
+    that fills the view has neither contrast nor strokes.
     """
 
     aside_m: float = math.nan
@@ -46,18 +49,24 @@ class ProjectionMetrics:
     v_deg_max: float = math.nan
     contrast: float = math.nan
     stroke_arcmin: float = math.nan
+    modulation: float = math.nan
 
 
-def projection_metrics(
+def projection_metrics(  # noqa: PLR0913 (independent values)
     world: World,
     path: VehiclePath,
     symbol: SymbolFunctionParams,
+    image: Tensor | None,
     time_s: float,
     lights: Sequence[Tensor],
     without: Sequence[Utilisation],
     commands: Commands = (),
 ) -> ProjectionMetrics:
-    """Metrics of a symbol at a time. lights: utilisations `[n_p]` with it, a mean over time; without: without it, one a module."""
+    """Metrics of a symbol at a time.
+
+    image: `[h, w]` that it draws, None while it draws none. lights: utilisations `[n_p]` with it, a mean over time. without: without it,
+    one a module.
+    """
     view = driver_view(symbol)
     seen = world.through(view, time_s)
     dark = seen.light([each.u for each in without], commands)[1] + seen.base
@@ -72,7 +81,8 @@ def projection_metrics(
     surround = (_distance_px(~lit) <= SURROUND_ARCMIN / arcmin) & ~lit & (seen.surfaces.object_id == 0) & (added <= PENUMBRA * median)
     background = float(luminance[surround].mean())
     places = seen.surfaces.position[:, lit].double().cpu()
-    x_m = transform(inverse(world.motion.at(time_s).T_world_ground), places)[0]
+    T_ground_world = inverse(world.motion.at(time_s).T_world_ground)
+    x_m = transform(T_ground_world, places)[0]
     cd, h_deg, v_deg = _from_lamps(seen, lights, commands, places[:, :: math.ceil(places.shape[1] / PLACES)])
     return ProjectionMetrics(
         aside_m=float(np.abs(path.aside_m(places[0].numpy(), places[1].numpy())).max()),
@@ -83,7 +93,21 @@ def projection_metrics(
         v_deg_max=v_deg,
         contrast=float(luminance[lit].mean()) / background - 1 if background > 0 else math.nan,
         stroke_arcmin=4 * (float(inside[lit].mean()) - 0.5) * arcmin,  # an edge lies half a pixel from the first pixel beyond
+        modulation=math.nan if image is None else _modulation(added, seen, T_ground_world, symbol, image),
     )
+
+
+def _modulation(added: Tensor, seen: LitScene, T_ground_world: Tensor, symbol: SymbolFunctionParams, image: Tensor) -> float:
+    """Michelson contrast of a symbol's light `[height, width]` between strokes and gaps of its image; NaN without gaps."""
+    x, y, _ = transform(T_ground_world.to(added), seen.surfaces.position.flatten(1).to(added)).unflatten(1, added.shape)
+    yaw = math.radians(symbol.yaw_deg)
+    ahead, left = x - symbol.x_m, y - symbol.y_m
+    along, across = ahead * math.cos(yaw) + left * math.sin(yaw), left * math.cos(yaw) - ahead * math.sin(yaw)
+    uv = torch.stack([-2 * across / symbol.width_m, -2 * along / symbol.length_m], -1)
+    within = (uv.abs() <= 1).all(-1) & (seen.surfaces.object_id == 0)
+    stroke = grid_sample(image[None, None].to(added), uv[None], align_corners=False)[0, 0] > 0.5
+    strokes, gaps = added[within & stroke].mean(), added[within & ~stroke].mean()
+    return float((strokes - gaps) / (strokes + gaps))
 
 
 def driver_view(symbol: SymbolFunctionParams) -> View:

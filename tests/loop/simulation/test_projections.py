@@ -79,11 +79,23 @@ def test_a_symbol_aside_turned_and_dark_is_seen_as_that(seen):
     assert dark.get("functions.bar.contrast") is None
 
 
+def test_a_blob_has_no_modulation_and_sharp_strokes_have(seen, tmp_path):
+    stripes = np.zeros((64, 64), np.uint8)
+    stripes[:16] = stripes[32:48] = 255  # of 1 m, at the far end and behind the middle
+    cv2.imwrite("bar.png", stripes)
+    wide = "functions.bar.width_m=2.0"
+    (sharp,), (coarse,) = seen(wide), seen(wide, "headlight.model=hd84", "functions.bar.value=300.0")
+    # Half a pixel of 0.015 deg beyond each edge is 5 cm along the road at 18 m: 0.05 of the gap's light is the strokes'.
+    assert sharp["functions.bar.modulation"] > 0.85
+    assert coarse["functions.bar.modulation"] < 0.2, "a pixel of 3.3 deg covers all four stripes"
+    assert coarse["functions.bar.stroke_arcmin"] > sharp["functions.bar.stroke_arcmin"], "so that width alone would pass it"
+
+
 def test_light_that_fills_the_view_has_neither_contrast_nor_strokes(seen):
     simulation = simulated(BAR, "functions.bar.length_m=0.5", "functions.bar.width_m=0.3")
     dark, full = (torch.full((simulation.modules[0].headlight.n_pixels,), u) for u in (0.0, 1.0))
     symbol, path = simulation.scenario.projections["bar"], VehiclePath.of(simulation.world.motion, 0.0)
-    found = projection_metrics(simulation.world, path, symbol, 0.0, [full], [Utilisation(dark)])
+    found = projection_metrics(simulation.world, path, symbol, None, 0.0, [full], [Utilisation(dark)])
     assert found.cd_max > CD and math.isnan(found.contrast) and math.isnan(found.stroke_arcmin)
 
 
