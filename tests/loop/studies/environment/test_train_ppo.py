@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[4]
 
 @pytest.mark.slow
 def test_a_policy_is_learnt_and_compared(tmp_path):
-    out = tmp_path / "learned.zip"
+    out = tmp_path / "learned.pt"
     command = [sys.executable, str(examples()["train_ppo.py"]), "--minutes", "0", "--worlds", "1", "--out", str(out)]
     told = subprocess.run(command, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
     assert told.returncode == 0, told.stderr
