@@ -195,7 +195,7 @@ def test_wall_holds_the_beam_and_facts_name_its_peak(lamps):
     found = dict(facts(low, "low"))
     assert found["beam"] == "low"
     assert found["left lamp"].startswith("800 pixels, ")
-    assert found["peak"] == "50 kcd, 80 lx at 25 m"
+    assert found["left peak"] == "50 kcd, 80 lx at 25 m"
 
 
 def test_the_peak_is_found_wherever_it_is(light):
