@@ -57,8 +57,8 @@ def summarise(
     step, and the border with the largest share. aim: place [x, y] in m of the symbol at the last step if that is not its target, else None.
     iou_mean: of all evaluated steps, as are iou_open_mean and the other means of `DRAWN`, None without `judge_causes`.
     iou_second_half_mean, iou_second_half_min: of those in the second half of the run. shown_steps: steps that show the symbol; seen_steps:
-    steps with a measurement; lost_steps: steps whose frames lack the symbol; covered_steps: lost steps in
-    which other functions (covered_by) cover the symbol.
+    steps with a measurement; lost_steps: steps whose frames lack the symbol; covered_steps: lost steps in which other functions
+    (covered_by) cover the symbol.
     """
     evaluated, losses = steps_with_metrics(table), table["loss"].to_pylist()
     ious, late = column(evaluated, "iou"), column(table, "iou")[table.num_rows // 2 :]

@@ -14,7 +14,9 @@ from luxloop.world.roads.base import Road
 from luxloop.world.scene.vehicle import VehicleState
 
 
-def redrawn(symbol: ControlledSymbol, belief: Belief | None, vehicle: VehicleState, road: Road) -> dict[str, ProjectionCommand]:
+def projections_by_cause(
+    symbol: ControlledSymbol, belief: Belief | None, vehicle: VehicleState, road: Road
+) -> dict[str, ProjectionCommand]:
     """Projections by column of `luxloop.loop.simulation.columns.CAUSES`: in open loop, and of a belief with pose, road and both made true.
 
     belief: of the controller; None: pose and road cannot be made true one by one. vehicle: the true one.

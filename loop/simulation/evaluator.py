@@ -20,7 +20,7 @@ from luxloop.controllers.symbol.sensing.field import cut
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.scenario.model import Scenario, only
-from luxloop.loop.simulation.causes import redrawn
+from luxloop.loop.simulation.causes import projections_by_cause
 from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.detection import DetectionPipeline, Recognition, false_positives, name_of, recognise
 from luxloop.loop.simulation.lamps import LampDriver, attitude
@@ -357,7 +357,7 @@ class Evaluator:
             return evaluate(world.added(now.time_s, lights, off, now.commands), plane, evaluator.goal)
 
         if self.scenario.judge_causes:
-            drawn = redrawn(symbol, belief, world.motion.at(now.time_s), evaluator.road)
+            drawn = projections_by_cause(symbol, belief, world.motion.at(now.time_s), evaluator.road)
             causes = {key: metrics(self.redraw(result, name, each)).iou for key, each in drawn.items()}
         return {
             "metrics": metrics(result.exposures[0].lights),

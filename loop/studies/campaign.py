@@ -88,24 +88,28 @@ class CampaignParams(Params):
 
 @dataclass(frozen=True)
 class Run:
-    """A run of a campaign: its parameters, its scenario with all changes, drawn values by key, whether its steps are written, and the
-    label of its controller.
-    """
+    """A run of a campaign: its parameters, its scenario with all changes, drawn values by key, and whether its steps are written."""
 
     params: RunParams
     scenario: Scenario
     drawn: Mapping[str, Any]
     trajectory: bool
-    label: str | None = None
+
+    @property
+    def controller(self) -> str | None:
+        """Label or name of the only symbol's controller, of one's own that of its class; None without one."""
+        if len(self.scenario.symbols) != 1 or (held := self.scenario.symbol.controller) is None:
+            return None
+        own, given = held.name.rpartition(":")[-1], self.params.controller or held.name
+        return own if given.rpartition(":")[-1] == own else given
 
     @property
     def row(self) -> Row:
         """Columns that identify the run."""
         held = self.scenario.symbol.controller if len(self.scenario.symbols) == 1 else None
-        controller = None if held is None else self.label or held.name.rpartition(":")[-1]
         return {
             "scenario": Path(self.params.scenario).stem,
-            "controller": controller,
+            "controller": self.controller,
             "variant": self.params.variant or "",
             "seed": self.params.seed,
             **{f"draw.{key}": value for key, value in self.drawn.items()},
@@ -276,7 +280,7 @@ def _flat(table: Mapping[str, Any], within: str = "") -> Iterator[tuple[str, Any
             yield key, value
 
 
-def _drawn(draws: Draws, seed: int) -> dict[str, Any]:
+def _draw(draws: Draws, seed: int) -> dict[str, Any]:
     """Values of a seed by key; each key has its own stream of random numbers, so that another key changes none."""
     found = {}
     for key, each in draws.items():
@@ -297,9 +301,8 @@ def _run(file: Path, params: CampaignParams, one: RunParams, draws: Callable[[st
             changes.insert(0, {"functions": {held: {"controller": {**params.tables.get(one.controller, {"name": one.controller})}}}})
         for each in changes:
             resolve_paths(each, file.parent)
-        drawn = _drawn(draws(name), one.seed)
+        drawn = _draw(draws(name), one.seed)
         scenario = load(name, [*changes, *(f"{key}={json.dumps(value)}" for key, value in drawn.items())], allow_code=True)
         if not allow_code:  # changes come from a file, too
             refuse_code(scenario, one.scenario)
-        labels = {each["label"] for each in params.controllers if isinstance(each, dict) and "label" in each}
-        return Run(one, scenario, drawn, params.trajectories, one.controller if one.controller in labels else None)
+        return Run(one, scenario, drawn, params.trajectories)

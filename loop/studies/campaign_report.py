@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from matplotlib.axes import Axes
 from rich.table import Table
 
 from luxloop.loop.report import terminal as tables
@@ -15,7 +16,7 @@ from luxloop.loop.report.style import DEFAULTS, drawing
 from luxloop.loop.run import torch_device
 from luxloop.loop.studies.campaign import TABLE, TRAJECTORIES, Row, run_campaign
 from luxloop.loop.studies.jobs import Results, dask, local
-from luxloop.loop.studies.statistics import Mean, holm, mean, paired
+from luxloop.loop.studies.statistics import Mean, compare_pairs, holm, mean
 from luxloop.world.arrays import read_parquet
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import atomic_write
@@ -173,7 +174,7 @@ def _comparisons(campaign: Results) -> list[list[str]]:
                 mine, others = series[controller, variant], series[other]
                 pairs = [(others[seed], mine[seed]) for seed in mine if mine[seed] is not None and others.get(seed) is not None]
                 if len(pairs) > 1 and any(a != b for a, b in pairs):
-                    difference, p = paired(*zip(*pairs, strict=True))
+                    difference, p = compare_pairs(*zip(*pairs, strict=True))
                     tests.append((scenario, (controller, variant), other, len(pairs), difference, p))
         for (scenario, of, to, count, difference, _), p in zip(tests, holm([each[-1] for each in tests]), strict=True):
             names = (", ".join(filter(None, each)) for each in (of, to))
@@ -210,24 +211,26 @@ def _draw_responses(steps: pa.Table, file: Path) -> None:
     panels = _groups(rows, ("scenario", "variant"))[:MOST_PANELS]
     with drawing(file, (3.2 * len(panels) + 1.5, 5.0), DEFAULTS) as figure:
         axes = figure.subplots(2, len(panels), sharex="col", sharey="row", squeeze=False)
-        for column, (names, rows) in enumerate(panels):
-            for number, ((controller,), mine) in enumerate(_groups(rows, ("controller",))):
-                for panel, key in zip(axes[:, column], ("iou", "away"), strict=True):
-                    by_step: dict[int, list[float]] = {}
-                    for row in mine:
-                        if row[key] is not None:
-                            by_step.setdefault(row["step"], []).append(row[key])
-                    at = sorted(by_step)
-                    low, middle, high = np.array([np.percentile(by_step[step], (BAND[0], 50, BAND[1])) for step in at]).reshape(-1, 3).T
-                    panel.fill_between(at, low, high, color=f"C{number}", alpha=0.2, lw=0)
-                    panel.plot(at, middle, color=f"C{number}", lw=1.2, label=controller)
-            axes[0, column].set_title(", ".join(filter(None, names)), fontsize=9)
-            axes[1, column].set_xlabel("step")
+        for (upper, lower), (names, some) in zip(axes.T, panels, strict=True):
+            for (controller,), mine in _groups(some, ("controller",)):
+                _draw_band(upper, mine, "iou", controller)
+                _draw_band(lower, mine, "away", controller)
+            upper.set_title(", ".join(filter(None, names)), fontsize=9)
+            lower.set_xlabel("step")
         axes[0, 0].set(ylabel="IoU", ylim=(0, 1))
         axes[1, 0].set(ylabel="distance of the centroid,\n% of the symbol", yscale="symlog", ylim=(0, None))
         axes[0, -1].legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
         for panel in axes.flat:
             panel.grid(alpha=0.3)
+
+
+def _draw_band(axes: Axes, rows: Sequence[Row], key: str, label: str) -> None:
+    """Median of a column by step, in a band of its percentiles."""
+    step, values = np.array([(row["step"], row[key]) for row in rows if row[key] is not None]).reshape(-1, 2).T
+    at = np.unique(step)
+    low, middle, high = np.array([np.percentile(values[step == each], (BAND[0], 50, BAND[1])) for each in at]).reshape(-1, 3).T
+    (line,) = axes.plot(at, middle, lw=1.2, label=label)
+    axes.fill_between(at, low, high, color=line.get_color(), alpha=0.2, lw=0)
 
 
 def _draw(campaign: Results, file: Path) -> None:

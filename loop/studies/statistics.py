@@ -31,7 +31,7 @@ def mean(values: Sequence[float]) -> Mean:
     return Mean(value, float(found.confidence_interval.low), float(found.confidence_interval.high))
 
 
-def paired(first: Sequence[float], second: Sequence[float]) -> tuple[Mean, float]:
+def compare_pairs(first: Sequence[float], second: Sequence[float]) -> tuple[Mean, float]:
     """Mean of the differences second - first of runs in pairs, and p of the two-sided signed-rank test (Wilcoxon 1945)."""
     differences = np.subtract(second, first)
     with warnings.catch_warnings():

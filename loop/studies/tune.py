@@ -160,7 +160,7 @@ class Task:
 
     def runs(self, values: Values) -> Runs:
         """All runs of a trial, seed by seed, those on the `plants` together."""
-        varied = [[perturbed(with_values(scenario, values), *plant) for plant in self.plants] for scenario in self.scenarios]
+        varied = [[perturb(with_values(scenario, values), *plant) for plant in self.plants] for scenario in self.scenarios]
         return [
             {"scenario": {**each.model_dump(mode="json"), "seed": each.seed + k}, "inputs": files, "device": self.device}
             for k in range(self.seeds)
@@ -179,10 +179,11 @@ class Task:
         return float((of_plants.mean(1) + of_plants.max(1)).mean() / 2)
 
 
-def perturbed(scenario: Scenario, gain: float, latency: int) -> Scenario:
-    """A scenario whose plant has `gain` times its gain, as its thesis_pid has `gain` times its gains, and so many more steps of latency.
+def perturb(scenario: Scenario, gain: float, latency: int) -> Scenario:
+    """Perturb the plant of a scenario: multiply its gain, and delay its frames by more steps.
 
-    Raises LuxloopError for another controller.
+    gain: factor. It multiplies the gains of thesis_pid, which has the same effect on the loop. latency: additional steps. Raises
+    LuxloopError for another controller.
     """
     if (gain, latency) == PLANTS[0]:
         return scenario

@@ -41,10 +41,6 @@ class BodyPrediction:
         """Whether the vehicle stands on level wheels."""
         return self.body is HERE
 
-    def over(self, T_ground_plane: Tensor) -> Tensor:
-        """`[4, 4]`, pose of the body in the frame of a plane at `[4, 4]`."""
-        return self.body if T_ground_plane.equal(HERE) else inverse(T_ground_plane) @ self.body
-
 
 AT_REST: Final = BodyPrediction()
 

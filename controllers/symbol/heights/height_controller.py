@@ -12,7 +12,7 @@ from torch import Tensor
 from luxloop.controllers.symbol.heights.body_filter import BodyFilter, BodyParams
 from luxloop.controllers.symbol.heights.body_poses import AT_REST, BodyPoses, BodyPrediction, ground_at
 from luxloop.controllers.symbol.heights.forward_model import ForwardModel
-from luxloop.controllers.symbol.heights.height_map import Belief
+from luxloop.controllers.symbol.heights.height_map import Belief, body_over
 from luxloop.controllers.symbol.heights.registration import BLURS, COARSE, FINE, HEIGHT_M, Blur, Heights, Registration, plane_sweep
 from luxloop.controllers.symbol.heights.road_map import RoadMap
 from luxloop.controllers.symbol.sensing.field import aim, elsewhere
@@ -313,12 +313,12 @@ class HeightController:
         """The command for the estimated road and the predicted pose of the body."""
         symbol, plane = self.projector.params, road_map.T_ground_plane
         if not (road_map.heights.any_information or road_map.heights.base.any()):
-            return flat_command(self.projector.target, inverse(prediction.over(plane)))
+            return flat_command(self.projector.target, inverse(body_over(plane, prediction.body)))
         return replace(self._belief(road_map, prediction).draw(self.projector), aim=elsewhere(plane, symbol))
 
     def _belief(self, road_map: RoadMap, prediction: BodyPrediction) -> Belief:
         plane = road_map.T_ground_plane
-        eye = transform(prediction.over(plane), self.eye[:, None])[:, 0].to(road_map.eye)
+        eye = transform(body_over(plane, prediction.body), self.eye[:, None])[:, 0].to(road_map.eye)
         return Belief(road_map.relief_from(prediction.until, eye), plane, prediction.body)
 
     def _nothing(self, registration: Registration) -> RoadMap:

@@ -125,6 +125,11 @@ def draw_on(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, T_body_groun
     return ProjectionCommand(*pose_of_rectangle(T_body_ground.to(T) @ T), Warp(fine[:, :2], fine[:, 2], size_m))
 
 
+def body_over(T_ground_plane: Tensor, T_ground_body: Tensor) -> Tensor:
+    """Pose `[4, 4]` of the body in the frame of a plane; both are given in the ground frame."""
+    return T_ground_body if T_ground_plane.equal(HERE) else inverse(T_ground_plane) @ T_ground_body
+
+
 @dataclass(frozen=True)
 class Belief:
     """A controller's belief about road and body at an exposure.
@@ -139,7 +144,7 @@ class Belief:
     def draw(self, projector: Projector) -> ProjectionCommand:
         """The command that shows the symbol on the believed road."""
         symbol, plane = projector.params, self.T_ground_plane
-        T_plane_body = self.T_ground_body if plane.equal(HERE) else inverse(plane) @ self.T_ground_body
+        T_plane_body = body_over(plane, self.T_ground_body)
         lamps = transform(T_plane_body, torch.stack([each.T_body_headlight[:3, 3] for each in projector.modules], 1).to(T_plane_body)).T
         return draw_on(self.relief, lamps, symbol, inverse(T_plane_body), symbol.target == "place" or not plane.equal(HERE))
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from luxloop.loop.studies.statistics import holm, mean, paired
+from luxloop.loop.studies.statistics import compare_pairs, holm, mean
 
 
 def test_an_interval_holds_the_true_mean_about_as_often_as_it_says():
@@ -16,10 +16,10 @@ def test_an_interval_holds_the_true_mean_about_as_often_as_it_says():
 
 def test_runs_in_pairs_tell_a_difference_that_means_hide():
     world = np.random.default_rng(1).normal(0.8, 0.2, 20)
-    difference, p = paired(world.tolist(), (world + np.linspace(0.005, 0.015, 20)).tolist())
+    difference, p = compare_pairs(world.tolist(), (world + np.linspace(0.005, 0.015, 20)).tolist())
     assert difference.value == pytest.approx(0.01) and 0.005 <= difference.low <= difference.high <= 0.015
     assert p == pytest.approx(2 / 2**20), "all of 20 signs are the same"
-    assert paired([0.5, 0.6], [0.5, 0.6])[1] == 1.0
+    assert compare_pairs([0.5, 0.6], [0.5, 0.6])[1] == 1.0
 
 
 def test_holm_corrects_for_the_number_of_tests():
