@@ -20,9 +20,10 @@ EVEN_CD = 500.0  # errors count relative to the light, but not below this
 RIM = 0.1  # share of the greatest intensity; errors count less where the lamp gives less, at the rim of its field
 RULE_STEP_DEG = 0.1
 RESERVE = 0.04  # relative margin to limits that the fit aims at; it must keep half of it
-WEIGHT_OF_LIMITS = 3.0  # weight of limits relative to the pattern, multiplied by itself in each round that misses a limit
+WEIGHT_OF_LIMITS = 5.0  # weight of limits relative to the pattern, multiplied by itself in each round that misses a limit
 ROUNDS = 4
-HANDOVER = 0.2  # share of a module's rows and columns on either side over which it fades into other modules
+BORDER = 0.1  # share of a module's rows and columns on either side over which it fades into other modules, or into the dark
+GUESSES = 4
 LEAST_PIXELS = 8
 
 
@@ -76,38 +77,43 @@ class LampFit:
         mirror = -1.0 if traffic == "left" else 1.0
         target = self._lacking(pattern.intensity(*_angles(self.directions, mirror)).float(), self.directions)
         weight = self.full / (self.full + RIM * self.full.max()) / (target + EVEN_CD)
-        upper = self._handover(target)
-        start = self._first_guess(target).minimum(upper)
-        u = solve(self.matrix, target, weight=weight, upper=upper, start=start, iterations=60, tolerance=1e-4)
+        upper, fading = self._borders(target)
+        start = self._first_guess(target, upper)
+        share = multiply(self.matrix, start * fading) / multiply(self.matrix, start).clamp(min=1e-6)
+        target = target.minimum(EVEN_CD + (target - EVEN_CD) * share)
+        u = solve(self.matrix, target, weight=weight, upper=upper, start=start * fading, iterations=60, tolerance=1e-4)
         u = self._within_limits(u, target, weight, pattern, mirror, upper)
         return u.split([module.headlight.n_pixels for module in self.modules])
 
-    def _first_guess(self, target: Tensor) -> Tensor:
-        """Start of the fit: each pixel's mean share of the target intensity in its directions; smooth, as the solver keeps values that do
-        not matter.
-        """
-        possible = multiply(self.matrix.transpose, self.full)
-        return torch.where(possible > 0, multiply(self.matrix.transpose, target) / possible, 0.0).clamp(0, 1)
+    def _first_guess(self, target: Tensor, upper: Tensor) -> Tensor:
+        """Start of the fit by Richardson and Lucy's iteration; smooth, as the solver keeps values that do not matter."""
+        u, sums = upper, multiply(self.matrix.transpose, torch.ones(len(target)))
+        for _ in range(GUESSES):
+            missing = target / multiply(self.matrix, u).clamp(min=1e-6)
+            u = torch.where(sums > 0, u * multiply(self.matrix.transpose, missing) / sums, 0.0).minimum(upper)
+        return u
 
-    def _handover(self, target: Tensor) -> Tensor:
-        """Upper bounds of utilisations: a pixel fades out towards its module's border as far as other modules can replace its light.
+    def _borders(self, target: Tensor) -> tuple[Tensor, Tensor]:
+        """Upper bounds of utilisations, and factors by which the pattern fades, both per pixel and 1 inside a module.
 
-        Otherwise a seam would show between the module's edge and the coarser light of others.
+        A pixel fades towards its module's border as far as other modules can replace its light: otherwise a seam would show between the
+        module's edge and the coarser light of others. Where they cannot, the pattern fades into the dark.
         """
         mean = self.matrix.transpose
         lit = multiply(mean, torch.ones(len(target))).clamp(min=1e-6)
         wanted = multiply(mean, target) / lit
-        start, uppers = 0, []
+        start, uppers, factors = 0, [], []
         for module in self.modules:
             light = module.headlight
             pixels = slice(start, start + light.n_pixels)
             own = torch.zeros(self.matrix.n_cols)
             own[pixels] = 1.0
             others = multiply(mean, self.full - multiply(self.matrix, own))[pixels] / lit[pixels]
-            able = (others / wanted[pixels].clamp(min=1.0) - 1).clamp(0, 1)
-            uppers.append(1 - able * (1 - _ramp(light)))
+            able, ramp = (others / wanted[pixels].clamp(min=1.0) - 1).clamp(0, 1), _ramp(light)
+            uppers.append(1 - able * (1 - ramp))
+            factors.append(1 - (1 - able) * (1 - ramp))
             start += light.n_pixels
-        return torch.cat(uppers)
+        return torch.cat(uppers), torch.cat(factors)
 
     def _within_limits(
         self, pattern_alone: Tensor, target: Tensor, weight: Tensor, pattern: Pattern, mirror: float, upper: Tensor
@@ -135,7 +141,7 @@ class LampFit:
             rows = Csr.from_scipy(sp.vstack([self.matrix.to_scipy(), limits.to_scipy()[held.numpy()]], format="csr"))
             weights = torch.cat([weight, WEIGHT_OF_LIMITS ** (round_ + 1) * scale[held]])
             lows, highs = torch.cat([target, low[held]]), torch.cat([target, high[held]])
-            u = solve(rows, (lows, highs), weight=weights, upper=upper, start=u, iterations=60, tolerance=1e-5)
+            u = solve(rows, (lows, highs), weight=weights, upper=upper, start=u, iterations=60, tolerance=1e-3)
         if missed(u).any():
             rows, lows, highs = Csr.from_scipy(limits.to_scipy()[within_reach.numpy()]), low[within_reach], high[within_reach]
             u = solve(rows, (lows, highs), weight=scale[within_reach], upper=upper, start=u, iterations=400, tolerance=1e-6)
@@ -146,7 +152,7 @@ def _ramp(light: Headlight) -> Tensor:
     """From 0 at the border of a module to 1 inside, `[n_p]`; modules of a few pixels have no inside."""
     if min(light.pixel_rows, light.pixel_cols) < LEAST_PIXELS:
         return torch.ones(light.n_pixels)
-    rows, cols = ((torch.arange(n) + 0.5).minimum(n - 0.5 - torch.arange(n)) / (HANDOVER * n) for n in (light.pixel_rows, light.pixel_cols))
+    rows, cols = ((torch.arange(n) + 0.5).minimum(n - 0.5 - torch.arange(n)) / (BORDER * n) for n in (light.pixel_rows, light.pixel_cols))
     ramp = rows.clamp(max=1)[:, None] * cols.clamp(max=1)
     return (ramp * ramp * (3 - 2 * ramp)).flatten()
 

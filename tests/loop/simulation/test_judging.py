@@ -43,7 +43,7 @@ def test_the_light_of_one_module_alone_adds_up_with_nothing():
 
 def test_what_two_lamps_share_on_a_pedestrian_adds_up_on_the_road_behind():
     aside = toml("{ kind = 'pedestrian', name = 'aside', seed = 5, track = [{ position_m = [10.0, 3.0, 0.0], yaw_deg = 90.0 }] }")
-    light = toml("{ kind = 'object_based', method = 'constant', setpoint_lx = 6.0, share = 0.2 }")
+    light = toml("{ kind = 'object_based', method = 'constant', setpoint_lx = 6.0, share = 0.05 }")
     *_, last = rows(5, "low", objects=[aside], functions={"light": light})
     assert last["tracks"] == 1 and last["primitives"] > 0, "where only one of the lamps reaches the body, it gives the whole"
     assert 1.1 < last["road_lx_ratio_max"] < 2, "rays of both lamps through different places of the body meet on the road behind"
