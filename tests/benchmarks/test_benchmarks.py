@@ -54,6 +54,12 @@ def move_is_bounded(found: Found) -> bool:
     return row == "flat, 10 m/s, nods by 1°" and iou["true road and pose"] > max(iou["luxloop"] - 0.08, iou["open"])
 
 
+def moving_is_ablated(found: Found) -> bool:
+    """The road is not flat, and none of the other drawings is better than the true one but for half a row of the camera, see above."""
+    (row,) = found["rows"]
+    return row["open"] < row["iou_true"] and row["iou_true"] > row["luxloop"] - 0.08 and 0 < row["visible"] <= 1
+
+
 def shadows_are_found(found: Found) -> bool:
     """Class E is in shadow, here and there."""
     ways, most = {each["way"] for each in found["results"]}, max(each["in shadow"] for each in found["results"])
@@ -75,6 +81,7 @@ PROMISES = {
     "live_beam": lambda found: all(
         each["ms"]["grey"] < 50 and each["rms error"]["smooth"] < 0.03 for each in list(found["cases"].values())[:1]
     ),
+    "moving": moving_is_ablated,
     "on_the_move": move_is_bounded,
     "remote": lambda found: next(iter(found["cases"].values()))["MB a step"]["frames"] == pytest.approx(4e-6 * 640 * 360),
     "shadows": shadows_are_found,
@@ -97,7 +104,7 @@ def test_each_runs_in_its_smallest_form(name, request, tmp_path, monkeypatch):
     if name == "shadows":
         monkeypatch.setenv("LUXLOOP_DATA", str(request.getfixturevalue("data_dir")))
     measure = import_module(name).measure
-    found = measure(bench.cases(measure, quick=True, **({"out": str(tmp_path), "jobs": 1} if name == "tuning" else {})))
+    found = measure(bench.cases(measure, quick=True, **({"out": str(tmp_path), "jobs": 1} if name in ("moving", "tuning") else {})))
     assert json.dumps(found) and PROMISES[name](found)
 
 
