@@ -124,7 +124,7 @@ def run(  # noqa: PLR0913 (independent options)
         stack.callback(on_end)
         for result in stack.enter_context(closing(simulation.evaluations())):
             recorder.add(result)
-            run_checks.step()
+            run_checks.step(result)
             highlights.add(result)
             if film is not None:
                 film.step(result)

@@ -16,7 +16,7 @@ from luxloop.world.lamps.modules import ModuleReport
 from luxloop.world.lamps.presets import SUMMARIES
 from luxloop.world.photometry import Photometry
 from luxloop.world.regulation import Result, aim_beam, check_beam, passes, rule_set, sets
-from luxloop.world.regulation.tables import Traffic
+from luxloop.world.regulation.tables import Traffic, digits
 
 VERDICTS = {"pass": "green", "fail": "red", "not applicable": "dim", "unknown": "yellow"}
 KINDS = {
@@ -143,17 +143,18 @@ def results(found: Sequence[Result], title: str) -> Table:
     rows = []
     for each in found:
         where = "" if each.where is None else f"{each.where[0]:+.2f}, {each.where[1]:+.2f}"
+        room = min(each.value - (-math.inf if each.min is None else each.min), (math.inf if each.max is None else each.max) - each.value)
         decided = each.verdict in ("pass", "fail")
-        margin = f"{each.margin:+.0%}" if decided else ""
+        margin = f"{'+' * (room > 0)}{digits(room)}" if decided else ""
         note = f"\n[dim]{escape(each.note)}[/]" if each.note and not decided else ""
         verdict = f"[{VERDICTS[each.verdict]}]{each.verdict}[/]"
-        rows.append((f"[bold]{escape(each.id)}[/]{note}", where, number(each.value, ",.5g"), each.limits, margin, verdict))
+        rows.append((f"[bold]{escape(each.id)}[/]{note}", where, digits(each.value), each.limits, margin, each.unit, verdict))
     failed = sum(each.verdict == "fail" for each in found)
     unknown = sum(each.verdict == "unknown" for each in found)
     caption = f"{failed} of {len(found)} requirements fail" if failed else "passes" if passes(found) else "nothing could be checked"
     caption += f"; {unknown} of {len(found)} requirements are unknown" if unknown else ""
-    columns = ("test point", "worst at h, v in deg", "value", "limit", "margin", "verdict")
-    return plain(columns, rows, title=escape(title), caption=caption)
+    columns = ("test point", "worst at h, v in deg", "measured", "limit", "margin", "unit", "verdict")
+    return plain(columns, rows, "lrrlrl", title=escape(title), caption=caption)
 
 
 def measured(values: Values, title: str) -> Table:

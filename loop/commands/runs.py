@@ -103,8 +103,9 @@ def draw_report(directory: Path, out: Path, allow_code: bool) -> Path:
             if simulation is not now:
                 highlights.edit(now := simulation)
             highlights.add(result)
-            checks.step()
+            checks.step(result)
             advance()
+    summary["checks"] = checks.outcomes(recording.table)
     write_report(out, now, highlights, checks.with_full_light(recording.table), summary, recording.manifest)
     return out
 

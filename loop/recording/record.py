@@ -197,7 +197,7 @@ def row(result: Evaluation) -> dict[str, Any]:
         values |= {f"functions.{name}.{key}": getattr(seen, key) for key in PROJECTION}
     for (name, _), command in zip(result.now.lights, result.now.commands, strict=False):  # no commands where all modules are at rest
         values |= {f"modules.{name}.{key}": getattr(command, key) for key in MODULE}
-    values |= {f"rules.{rule}": number for rule, number in result.rules.items()}
+    values |= {f"rules.{rule}": len(failures) for rule, failures in result.rules.items()}
     values |= {f"probes.{name}.lx": lx for name, lx in result.probes.items()}
     for name, glare in result.glare.items():
         values |= {f"probes.{name}.{key}": getattr(glare, key) for key in EYE}

@@ -2,8 +2,29 @@
 
 from collections.abc import Mapping
 
-from luxloop.loop.recording.summary import FINAL, OFF_PERCENT, Summary
+import pyarrow as pa
 
+from luxloop.loop.recording.summary import FINAL, OFF_PERCENT, Summary
+from luxloop.loop.simulation.columns import CAUSES, PROJECTION, SYMBOL, of_truth
+
+EMPTY = {  # why a column has no value in any step, and the remedy, by the last part of its name or else the first; NAME: all but the last
+    "objects": "the camera never saw the object; move NAME.track into its view, or raise steps",
+    "probes": "the object in whose frame it lies never existed; see the object's track.appears_s and vanishes_s, or raise steps",
+    "functions": "the camera never saw what the function lights; move it into the camera's view, or raise steps",
+    "modules": "no function ever commanded the module",
+    **dict.fromkeys(("aim_x_m", "aim_y_m"), "the symbol was always aimed at its target"),
+    **dict.fromkeys(
+        ("road_believed_m", "iou_true_pose", "iou_true_road"), 'its controller has no height map; set NAME.controller.name = "luxloop"'
+    ),
+    "dark_lx_max": 'no object that must be dark was in view; give a function with kind = "glare_free" and such an object, or raise steps',
+    "symbol_iou_min": "no symbol for an observer was shown; see its when, unless, start_s and stop_s",
+    **dict.fromkeys(
+        ("eyes_lx_max", "eyes_lx_peak", "oncoming_lx_max"),
+        "no head or windscreen of such a road user was in view; move one into the camera's view, or raise steps",
+    ),
+    "road_lx_ratio_max": "no evaluated step had light on the road; set judge_every = 1, and see lighting.base.beam and functions",
+    **dict.fromkeys(("detections", "false_positives"), "no frame arrived for the detector; raise steps, or lower camera.drop_probability"),
+}
 CUT = 0.02  # share of a symbol that is cut without effect: it costs no more IoU than the spread of runs in docs/results/symbol_control.md
 PLANE_M = 0.2  # height above the ground plane from which on a remedy names it
 SHADOW = "in shadow of"
@@ -22,6 +43,16 @@ def frame_remedies(frames: dict[str, int]) -> list[str]:
     if frames["unknown"]:
         return [f"{frames['unknown']} frames belong to no shown exposure and were ignored; {numbers}"]
     return [] if frames["came"] else [f"no frame arrived for any of the {frames['asked']} exposures; {late}"]
+
+
+def why_empty(metric: str, table: pa.Table) -> str:
+    """Why a column of a recording has no value in any step, and the remedy. table: of the recording."""
+    (head, _, key), first = metric.rpartition("."), metric.partition(".")[0]
+    if first != "functions" or key in EMPTY or key not in {*SYMBOL, *CAUSES, *PROJECTION}:
+        return EMPTY.get(key, EMPTY.get(first, "the run recorded no value of it")).replace("NAME", head)
+    if (pose := f"{head}.{next(iter(SYMBOL))}") in table.column_names and table[pose].null_count < table.num_rows:
+        return f"the symbol was shown, but never {'evaluated; set judge_every = 1' if of_truth(metric) else f'measured; see {head}.loss'}"
+    return f"the symbol was never shown in an evaluated step; see {head}.when, unless, start_s, stop_s and indicated, and judge_every"
 
 
 def why_no_metrics(values: Summary) -> str | None:

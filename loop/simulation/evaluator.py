@@ -49,6 +49,7 @@ from luxloop.perception.eye import threshold_increment
 from luxloop.perception.metrics import Metrics, evaluate
 from luxloop.perception.tracking import TrackedBoxes
 from luxloop.world.headlight.lamp import Commands
+from luxloop.world.regulation import Result
 from luxloop.world.scene.vehicle import STANDING, VehiclePath
 
 UNKNOWN = torch.tensor(math.nan)
@@ -123,7 +124,7 @@ class Evaluation(StepResult):
     symbols by name. zones, materials: by name. road_lx_ratio_max: see `over_setpoint`, None in a step without evaluation. oncoming_s:
     start times, by name, of near oncoming road users. probes: illuminance in lx by name, a mean over the exposures. glare: by name of a
     probe that is an eye. projections: symbols on the road as the driver sees them, by name; none in a step without evaluation, or without
-    `judge_projections`. rules: number of requirements that the base beam fails, by rule that a check names. body: heave in m, roll and
+    `judge_projections`. rules: requirements that the base beam fails, by rule that a check names. body: heave in m, roll and
     pitch in deg of the body over the ground, "true" at the start of the step and as "measured" last; of moving vehicles.
     """
 
@@ -141,7 +142,7 @@ class Evaluation(StepResult):
     probes: Mapping[str, float]
     glare: Mapping[str, Glare]
     projections: Mapping[str, ProjectionMetrics]
-    rules: Mapping[str, int]
+    rules: Mapping[str, tuple[Result, ...]]
     body: Mapping[str, tuple[float, float, float]]
 
     @property
@@ -226,7 +227,7 @@ class Evaluator:
             evaluation, timings={key: result.timings.get(key, 0.0) + clock.ms.get(key, 0.0) for key in {**result.timings, **clock.ms}}
         )
 
-    def _rules(self, plan: Plan, before: Evaluation | None) -> Mapping[str, int]:
+    def _rules(self, plan: Plan, before: Evaluation | None) -> Mapping[str, tuple[Result, ...]]:
         same = before is not None and not self.scenario.lighting.raw and replace(before.plan.base, share=plan.base.share) == plan.base
         if before is not None and same and before.rules.keys() == set(self.scenario.rules):
             return before.rules

@@ -24,7 +24,7 @@ from luxloop.world.frames import inverse, transform
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Commands, Lamp, Module, ModuleCommand, Range
 from luxloop.world.lamps.utilisations import RawUtilisation
-from luxloop.world.regulation import check_beam
+from luxloop.world.regulation import Result, check_beam
 from luxloop.world.scene.scene import StreetLamp
 
 
@@ -199,15 +199,15 @@ class LampDriver:
             for module, (_, light) in zip(self.modules, now.lights, strict=True)
         ]
 
-    def failures(self, plan: Plan, rule: str) -> int:
-        """Number of a rule's requirements that the undimmed base beam of a lamp fails, the larger one of both lamps."""
-        base, counts = replace(plan, base=replace(plan.base, share=1.0)), [0]
+    def failures(self, plan: Plan, rule: str) -> tuple[Result, ...]:
+        """A rule's requirements that the undimmed base beam of a lamp fails, those of the lamp that fails more."""
+        base, failures = replace(plan, base=replace(plan.base, share=1.0)), list[tuple[Result, ...]]()
         for side in dict.fromkeys(module.side for module in self.modules):
             mine = [module for module in self.modules if module.side == side]
             lamp = Lamp(side, tuple(Module(each.name, each.headlight, each.T_world_module) for each in mine))
             found = check_beam(lamp.lit([each.base(base) for each in mine]), rule)
-            counts.append(sum(each.verdict == "fail" for each in found))
-        return max(counts)
+            failures.append(tuple(each for each in found if each.verdict == "fail"))
+        return max(failures, key=len)
 
     def drive(
         self, plan: Plan, now: Situation, more: tuple[Plan, tuple[Utilisation, ...]] | None = None

@@ -48,7 +48,6 @@ from luxloop.world.regulation import check_beam
 from luxloop.world.scene.triangles import NOTHING
 
 KEPT_BYTES = 2**30  # of light and pictures of past steps; the oldest are dropped
-UNITS = {"flux": "lm", "sharpness": "decades in 0.1 deg", "straightness": "deg"}  # of requirements by kind, else cd
 MOST_EDITS = 100  # separate edits of one step
 
 
@@ -292,7 +291,7 @@ class Run:
                 "id": each.id,
                 "where": each.where,
                 "value": each.value,
-                "unit": UNITS.get(each.kind, "cd"),
+                "unit": each.unit,
                 "limit": each.limits,
                 "passed": verdicts.get(each.verdict),
             }

@@ -95,15 +95,15 @@ def rule_set(set_id: str) -> RuleSet:
 Intensity = Callable[[Tensor], Tensor]  # directions [3, N] of the lamp frame -> cd [N]
 Verdict = Literal["pass", "fail", "not applicable", "unknown"]
 Traffic = Literal["left", "right"]
+UNITS = {"flux": "lm", "sharpness": "decades in 0.1 deg", "straightness": "deg"}  # of values by kind of requirement, else cd
 
 
 @dataclass(frozen=True)
 class Result:
     """One requirement's outcome. where: `(h, v)` in deg of the worst point, None for sums and fluxes.
 
-    value, min, max: cd, NaN and None if unknown; lm for kind `flux`, decades in 0.1 deg for `sharpness`, deg for `straightness`.
-    margin: what is left to the nearer limit as a share of it, negative where it is missed. note: the table's, with the condition if there
-    is one.
+    value, min, max: in `unit`, NaN and None if unknown. margin: what is left to the nearer limit as a share of it, negative where it is
+    missed. note: the table's, with the condition if there is one.
     """
 
     id: str
@@ -121,13 +121,25 @@ class Result:
         return margin(self.value, self.min, self.max)
 
     @property
+    def unit(self) -> str:
+        return UNITS.get(self.kind, "cd")
+
+    @property
     def limits(self) -> str:
-        """The limits in words, such as `5000 to 37000`."""
-        if self.min is None and self.max is None:
-            return "–"
+        """The limits in words, such as `5,000 to 37,000`."""
         if self.min is not None and self.max is not None:
-            return f"{self.min:.6g} to {self.max:.6g}"
-        return f"at least {self.min:.6g}" if self.min is not None else f"at most {self.max:.6g}"
+            return f"{digits(self.min)} to {digits(self.max)}"
+        return f"at least {digits(self.min)}" if self.min is not None else "–" if self.max is None else f"at most {digits(self.max)}"
+
+    def __str__(self) -> str:
+        """Requirement, place, value and limits, such as `50V at +0.00, -0.86 deg: 12 cd, at least 5,100 cd`."""
+        where = "" if self.where is None else f" at {self.where[0]:+.2f}, {self.where[1]:+.2f} deg"
+        return f"{self.id}{where}: {digits(self.value)} {self.unit}, {self.limits} {self.unit}"
+
+
+def digits(value: float) -> str:
+    """A value with four significant digits and all digits before the point, a dash for NaN."""
+    return "–" if math.isnan(value) else f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"
 
 
 def margin(value: float, least: float | None, most: float | None) -> float:

@@ -86,7 +86,9 @@ def test_a_value_is_taken_of_the_steps_in_the_window_that_have_one(check, value)
     assert got["value"] == (value if value is None else pytest.approx(value))
     assert got["passed"] is (value is not None and value >= 0.3)
     if value is None:
-        why = "begins at 7 s, the run ends at 0.4 s (raise steps)" if check["from_s"] == 7 else "nothing was there to check"
+        why = "begins at 7 s, the run ends at 0.4 s (raise steps)"
+        if check["from_s"] < 7:
+            why = "has values from 0 to 0.4 s only; choose from_s and until_s to include some"
         assert said(got).endswith(f"{IOU}, at least 0.3, {why}: failed")
 
 
@@ -161,7 +163,7 @@ def test_open_loop_beside_is_the_run_that_it_would_be_alone():
     rows = []
     for result in simulation.evaluations():
         rows.append(row(result))
-        checks.step()
+        checks.step(result)
     table = table_of(rows, schema(simulation))
     opened = {"symbol": SMALL["functions"]["symbol"] | {"controller": {"name": "open"}}}
     alone = Simulation.prepare(validate(SMALL | {"steps": 3, "functions": opened}, "open"))
@@ -196,6 +198,34 @@ def test_a_rule_judges_the_base_beam_as_the_lamps_are_mounted(level_deg):
     results = check_beam(lamp.lit(lamp.beam("low")), "r149-passing-c", aim=(0.0, -level_deg))
     assert got["value"] == sum(each.verdict == "fail" for each in results)
     assert got["passed"] is (level_deg == 0)
+    assert got["reasons"] == [str(each) for each in results if each.verdict == "fail"]
+    assert all(reason in said(got) for reason in got["reasons"][:3]) and (level_deg == 0 or " cd, at least " in said(got))
+
+
+# what never existed: columns, and the cause and remedy that the check names
+NEVER = {
+    "dark_lx_max": ("no object that must be dark was in view", "glare_free"),
+    "objects.behind.lx_max": ("the camera never saw the object", "objects.behind.track"),
+    "functions.late.iou": ("the symbol was never shown", "functions.late.when, unless, start_s"),
+    "probes.rider.lx": ("never existed", "appears_s"),
+}
+
+
+def test_a_check_without_a_value_names_what_never_existed_and_the_remedy():
+    behind = {"kind": "box", "category": "car", "size_m": [4.4, 1.8, 1.5], "track": [{"position_m": [-30, 0, 0]}]}
+    scenario = LIT | {
+        "steps": 1,
+        "lighting": {"base": {"beam": "off"}},
+        "objects": [{**behind, "name": "behind"}, {**behind, "name": "later", "appears_s": 9}],
+        "functions": {"late": SMALL["functions"]["symbol"] | {"start_s": 9.0}},
+        "probes": {"rider": {"position_m": [0, 0, 1], "frame": "later"}},
+    }
+    wanted = {f"it_{n}": {"metric": metric, "at_least": 1.0} for n, metric in enumerate(NEVER)}
+    wanted["legal"] = {"metric": "rules.r149-passing-c", "at_most": 0}
+    summary = run(validate(with_checks(scenario, **wanted), "here"), device="cpu", video=False, report=False).summary
+    for line, words in zip(lines(summary).values(), NEVER.values(), strict=False):
+        assert line.endswith("failed") and all(word in line for word in words), line
+    assert "the base beam is off; set lighting.base.beam" in lines(summary)["check legal"]
 
 
 @pytest.mark.slow
