@@ -230,6 +230,7 @@ def measure(
     beam: str | None = None,
     side: Literal["both", "left", "right"] | None = None,
     traffic: Literal["left", "right"] = "right",
+    extent: Points = None,
     step_deg: float | None = None,
     out: Path | None = None,
 ) -> None:
@@ -242,7 +243,7 @@ def measure(
     at
         Direction H,V in deg from the lamp, to the right and up, or a line H,V:H,V:COUNT: cd, and lx of an upright wall 25 m ahead.
     wall
-        Distance in m of an upright wall, measured over the lamp's field.
+        Distance in m of an upright wall, measured where the beam lights it.
     road
         Place X,Y or X,Y,Z in m, ahead of the lamps, to the left of their middle, and up from the road, or a line X,Y:X,Y:COUNT: lx of a
         horizontal surface, and of a vertical one that faces the car. The lamps are 1.2 m apart and 0.75 m high; nothing casts shadows.
@@ -252,6 +253,8 @@ def measure(
         Lamps that are on; by default left for directions and walls, which have one lamp, and both for the road.
     traffic
         Side of the road that the traffic drives on; for the left, default beams are fitted to it.
+    extent
+        Part of the wall to measure instead: largest angles H,V in deg to each side, up and down, or two corners H,V:H,V.
     step_deg
         Step of both angles over a wall in deg; by default 0.5.
     out
@@ -270,8 +273,9 @@ def measure(
         raise LuxloopError(f"--wall {wall:g}: give a distance greater than 0 m")
     if wall is not None and out is None:
         raise LuxloopError(f"--wall {wall:g}: has too many values for a table; give --out FILE.csv")
-    if step_deg is not None and wall is None:
-        raise LuxloopError("--step-deg: is the step over a --wall; leave it out, or give a line as H,V:H,V:COUNT")
+    for option, given in (("extent", extent), ("step-deg", step_deg)):
+        if given is not None and wall is None:
+            raise LuxloopError(f"--{option}: is for a --wall; leave it out, or give a line as H,V:H,V:COUNT")
     if out is not None and out.suffix.lower() != ".csv":
         raise LuxloopError(f"--out {out}: gives no format of values; end it in .csv")
     sides: Sequence[Literal["left", "right"]] = (
@@ -289,9 +293,8 @@ def measure(
     elif at:
         values = measuring.towards(first, name, measuring.points(at, "HV", measuring.LIMITS_DEG, "--at"))
     else:
-        values = measuring.towards(
-            first, name, measuring.grid(first, measuring.STEP_DEG if step_deg is None else step_deg), wall or measuring.SCREEN_M
-        )
+        directions = measuring.grid(first, name, measuring.STEP_DEG if step_deg is None else step_deg, extent)
+        values = measuring.towards(first, name, directions, wall or measuring.SCREEN_M)
     title = f"{first.name}, beam {name}, {' and '.join(sides)} lamp{'s' * (len(sides) > 1)}"
     if out is None:
         tables.show(headlight_tables.measured(values, title))

@@ -11,6 +11,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import AutoMinorLocator, FixedLocator, MaxNLocator, MultipleLocator, NullLocator
 from torch import Tensor
 
+from luxloop.loop.report.facts import lit_deg
 from luxloop.loop.report.style import SHARES, field, no_frame, scale
 from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, Image, LitCar, RoadView, grey, picture
 from luxloop.world.headlight import Headlight
@@ -118,25 +119,11 @@ def car_outline(axes: Axes, seen: RoadView) -> None:
 
 WALL_M, WALL_POINTS = 25.0, (641, 321)
 WHITE_WALL = 0.8  # albedo
-FAINTEST = 1 / 500  # of the peak, the faintest light that a wall's picture includes
-
-
-def wall_angles(car: LitCar) -> tuple[Image, Image]:
-    """Angles in deg, `[W]` to the right and `[H]` up, of a rectangle around the beam."""
-    h, v = torch.arange(-60.0, 60.5, 0.5), torch.arange(-25.0, 25.25, 0.25)
-    light = car.intensity(*torch.meshgrid(h, v, indexing="xy")).numpy()
-    lit = light > light.max() * FAINTEST
-    columns, rows = h.numpy()[lit.any(0)], v.numpy()[lit.any(1)]
-    if not len(columns):
-        return np.linspace(-10, 10, WALL_POINTS[0]), np.linspace(-4, 2, WALL_POINTS[1])
-    h_range = min(columns[0] - 1.0, -5.0), max(columns[-1] + 1.0, 5.0)
-    v_range = min(rows[0] - 0.5, -2.0), max(rows[-1] + 0.5, 1.5)
-    return np.linspace(*h_range, WALL_POINTS[0]), np.linspace(*v_range, WALL_POINTS[1])
 
 
 def draw_wall(axes: Axes, car: LitCar, style: str) -> None:
     """Draw a wall ahead of the car, in angles from the only lamp or from the point midway between both."""
-    h, v = wall_angles(car)
+    h, v = (np.linspace(*ends, count) for ends, count in zip(lit_deg(car.intensity), WALL_POINTS, strict=True))
     H, V = torch.meshgrid(torch.from_numpy(h), torch.from_numpy(v), indexing="xy")
     extent = (h[0], h[-1], v[0], v[-1])
     axes.set(xlim=extent[:2], ylim=extent[2:])

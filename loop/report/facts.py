@@ -1,7 +1,7 @@
 """Figures of a lamp's light: field, flux, peak."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from luxloop.world.texels import TexelGrid
 STEP_DEG = 0.1  # of the search for a beam's peak
 EVEN_SHARE, EVEN_PART = 0.995, 0.02  # a beam is even if more than 2 % of all directions have 99.5 % of its peak
 MARGIN_DEG = 0.5  # of the search beyond the field
+FAINTEST = 1 / 500  # of the peak, the faintest light that counts as lit
 
 
 class Peak(NamedTuple):
@@ -40,6 +41,20 @@ def _around(low_deg: float, high_deg: float) -> Tensor:
     """Multiples of `STEP_DEG` over a range of angles in deg and its margins."""
     first, last = math.floor((low_deg - MARGIN_DEG) / STEP_DEG), math.ceil((high_deg + MARGIN_DEG) / STEP_DEG)
     return torch.arange(first, last + 1, dtype=torch.float64) * STEP_DEG
+
+
+def lit_deg(intensity: Callable[[Tensor, Tensor], Tensor]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Ranges of h and v in deg, to the right and up, of a rectangle around a beam within ±60 x ±25 deg.
+
+    intensity: cd of `[H, W]` angles in deg.
+    """
+    h, v = torch.arange(-60.0, 60.5, 0.5), torch.arange(-25.0, 25.25, 0.25)
+    light = intensity(*torch.meshgrid(h, v, indexing="xy"))
+    lit = light > light.max() * FAINTEST
+    columns, rows = h[lit.any(0)].tolist(), v[lit.any(1)].tolist()
+    if not columns:
+        return (-10.0, 10.0), (-4.0, 2.0)
+    return (min(columns[0] - 1.0, -5.0), max(columns[-1] + 1.0, 5.0)), (min(rows[0] - 0.5, -2.0), max(rows[-1] + 0.5, 1.5))
 
 
 def flux_lm(grid: TexelGrid, texture: Tensor) -> float:

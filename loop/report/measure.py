@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from luxloop.loop.report.facts import lit_deg
 from luxloop.loop.scenario.model import HeadlightParams
 from luxloop.loop.simulation.build_lamps import T_world_lamp
 from luxloop.world.errors import LuxloopError
@@ -21,7 +22,8 @@ LINE_POINTS = 51
 MOST_POINTS = 2_000_000
 STEP_DEG = 0.5  # of a wall's grid by default
 FINEST_DEG = 0.001  # least step
-WALL_DEG = 80.0  # largest angle of a wall's grid, as of light textures
+COARSEST_DEG = 80.0  # largest step
+ROUNDING = 1e-9  # of angles in steps
 LIMITS_DEG = (89.0, 89.0)  # beyond, a wall is out of reach
 LIMITS_M = (1000.0, 1000.0, 100.0)
 Values = Mapping[str, Tensor]  # columns of one length, named with their units
@@ -58,22 +60,25 @@ def _point(word: str, axes: str, limits: Sequence[float]) -> list[float] | None:
     return values if len(values) == len(axes) and all(abs(v) <= limit for v, limit in zip(values, limits, strict=True)) else None
 
 
-def grid(lamp: Lamp, step_deg: float) -> Tensor:
-    """Directions `[2, N]` in deg, to the right and up, over the lamp's field, or ±80 deg of a photometric file, row by row.
+def grid(lamp: Lamp, beam: str, step_deg: float, extent: Sequence[str] | None = None) -> Tensor:
+    """Directions `[2, N]` in deg, to the right and up, over what a beam lights, row by row.
 
-    step_deg: of both angles. Raises LuxloopError for one out of range or too fine.
+    step_deg: of both angles. extent: other angles, as largest ones to all sides, "H,V", or as two corners, "H,V:H,V". Raises LuxloopError.
     """
-    left, right, bottom, top = lamp.field_deg if lamp.modules else (WALL_DEG, -WALL_DEG, -WALL_DEG, WALL_DEG)
-    if not FINEST_DEG <= step_deg <= WALL_DEG:
-        raise LuxloopError(f"--step-deg {step_deg:g}: give a step of {FINEST_DEG:g} to {WALL_DEG:g} deg")
-    first_last = [
-        (math.ceil(max(low, -WALL_DEG) / step_deg), math.floor(min(high, WALL_DEG) / step_deg))
-        for low, high in ((bottom, top), (-left, -right))
-    ]
-    rows, columns = (last - first + 1 for first, last in first_last)
+    if not FINEST_DEG <= step_deg <= COARSEST_DEG:
+        raise LuxloopError(f"--step-deg {step_deg:g}: give a step of {FINEST_DEG:g} to {COARSEST_DEG:g} deg")
+    if extent:
+        corners = points(extent, "HV", LIMITS_DEG, "--extent")
+        corners = torch.cat([corners, -corners], 1) if corners.shape[1] == 1 else corners
+        across, up = torch.stack(corners.aminmax(dim=1), 1).tolist()
+    else:
+        intensity = lamp.lit(lamp.beam(beam))
+        across, up = lit_deg(lambda h, v: intensity(direction(h, v).flatten(1)).view(h.shape))
+    (h0, h1), (v0, v1) = ((math.ceil(low / step_deg - ROUNDING), math.floor(high / step_deg + ROUNDING)) for low, high in (across, up))
+    rows, columns = v1 - v0 + 1, h1 - h0 + 1
     if rows * columns > MOST_POINTS:
         raise LuxloopError(f"--step-deg {step_deg:g}: makes {rows} x {columns} points; give a larger step")
-    v, h = (torch.arange(first, last + 1, dtype=torch.float64) * step_deg for first, last in first_last)
+    v, h = (torch.arange(first, last + 1, dtype=torch.float64) * step_deg for first, last in ((v0, v1), (h0, h1)))
     return torch.cartesian_prod(v, h).T.flip(0)
 
 

@@ -135,6 +135,8 @@ IMPOSSIBLE = {  # what is said of a command line, in parts
     "measure hd84 --wall 25 --out a.csv --step-deg 0.001": "--step-deg 0.001 | larger step",
     "measure hd84 --wall 25 --out a.csv --step-deg 1e-320": "--step-deg 9.99989e-321 | 0.001",
     "measure hd84 --at 0,0 --step-deg 1": "--step-deg | --wall",
+    "measure hd84 --at 0,0 --extent 30,15": "--extent | --wall",
+    "measure hd84 --wall 25 --out a.csv --extent 100,15": "--extent 100,15 | H within ±89",
     "measure hd84 --at 0,0 --side both": "--side both | left or right",
     "measure hd84 --at 0,0 --out a.txt": "--out a.txt | .csv",
     "measure hd84 --at 0,0 --out no/where/a.csv": "no/where/a.csv | cannot be written",

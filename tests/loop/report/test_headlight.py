@@ -14,8 +14,8 @@ from matplotlib.text import Text
 
 from luxloop import Lamp, Module, Scenario, idealised, pose_from_degrees, show_headlight, validate
 from luxloop.loop.report import headlight
-from luxloop.loop.report.charts import distance_marks, isolines, steps, wall_angles
-from luxloop.loop.report.facts import borders_deg, flux_lm, peak
+from luxloop.loop.report.charts import distance_marks, isolines, steps
+from luxloop.loop.report.facts import borders_deg, flux_lm, lit_deg, peak
 from luxloop.loop.report.headlight import facts, reach_m
 from luxloop.loop.report.styles import VIEWS
 from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, LitCar, Road, beside, birdseye, driver, grey
@@ -190,8 +190,8 @@ def test_reach_is_where_the_inverse_square_law_says(lamps):
 
 def test_wall_holds_the_beam_and_facts_name_its_peak(lamps):
     low = LitCar(lamps, {side: lamp.beam("low") for side, lamp in lamps.items()})
-    h, v = wall_angles(low)
-    assert h[0] < -12 and h[-1] > 12 and v[0] < -8 and v[-1] >= 1.5
+    (left, right), (bottom, top) = lit_deg(low.intensity)
+    assert left < -12 and right > 12 and bottom < -8 and top >= 1.5
     found = dict(facts(low, "low"))
     assert found["beam"] == "low"
     assert found["left lamp"].startswith("800 pixels, ")

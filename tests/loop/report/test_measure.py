@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from luxloop import load_lamp
-from luxloop.loop.report.measure import on_road, points, towards, write_csv
+from luxloop.loop.report.measure import grid, on_road, points, towards, write_csv
 from luxloop.world.lamps.description import measured_lamp
 from luxloop.world.light.emitters import sources, wall_illuminance
 from luxloop.world.photometry import Distribution, write
@@ -68,6 +68,21 @@ def test_a_wall_has_the_light_that_pictures_show(tmp_path):
     assert len(rows) == 81 and list(rows[0]) == ["h_deg", "v_deg", "y_m", "z_m", "cd", "lx"]
     assert [float(row["cd"]) for row in rows] == pytest.approx(found["cd"].tolist(), rel=1e-8)  # nine digits
     assert float(rows[0]["y_m"]) == pytest.approx(10 * np.tan(np.radians(10)), rel=1e-8)  # to the left
+
+
+def test_a_wall_is_measured_where_the_beam_lights_it_or_over_the_angles_given(tmp_path):
+    angles = np.arange(-90.0, 91.0)
+    write(tmp_path / "beam.ies", Distribution("A", angles, angles, 1e4 * np.exp(-(angles[:, None] ** 2) / 50 - angles**2 / 8)))
+    lamp = measured_lamp(tmp_path / "beam.ies", "left")
+
+    def ends(*extent: str, step_deg: float = 0.5) -> list[list[float]]:
+        return [each.tolist() for each in grid(lamp, "full", step_deg, extent).aminmax(dim=1)]
+
+    # a 500th of the peak lies 17.6 deg aside and 7.0 deg up and down, on nodes of 0.5 and 0.25 deg
+    assert ends() == [[-18.5, -7.5], [18.5, 7.5]]
+    assert ends("30,15") == [[-30, -15], [30, 15]]
+    assert ends("10,4:-20,-8") == [[-20, -8], [10, 4]]
+    assert ends("0.3,0.3", step_deg=0.1) == [[pytest.approx(-0.3)] * 2, [pytest.approx(0.3)] * 2]
 
 
 def test_lines_have_their_ends_and_count():
