@@ -84,6 +84,7 @@ def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[n
         },
         "functions": dict(symbols),
     }
+    found |= {"probes": probes} if (probes := _probes(table)) else {}
     found |= {"zones": zones} if (zones := _zones(table)) else {}
     found |= {"materials": materials} if (materials := _materials(table)) else {}
     if "power_w" in known and table.num_rows:
@@ -179,6 +180,16 @@ def _over(values: NDArray[np.floating], what: str) -> float | None:
     """A statistic of the finite values, "mean", "min" or "max"; None without a value."""
     values = values[np.isfinite(values)]
     return float(getattr(values, what)()) if len(values) else None
+
+
+def _probes(table: pa.Table) -> Summary:
+    """By probe: least, mean and largest illuminance in lx; of an eye also its largest veil in cd/m^2 and threshold increment in %."""
+    found = dict[str, Summary]()
+    for name in (each for each in table.column_names if each.startswith("probes.")):
+        probe, key = name.removeprefix("probes.").rsplit(".", 1)
+        takes = ("min", "mean", "max") if key == "lx" else ("max",)
+        found.setdefault(probe, {}).update({f"{key}_{what}": _over(column(table, name), what) for what in takes})
+    return found
 
 
 def _zones(table: pa.Table) -> Summary:

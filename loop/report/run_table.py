@@ -43,6 +43,7 @@ def summary_table(values: Summary, files: str) -> Table:  # noqa: C901 (a row a 
     if values["dark_lx_max"] is not None:
         late = ", since masks follow detections in earlier frames" if values["dark_lx_max"] and "detections" in values else ""
         rows["on masked objects"] = f"{values['dark_lx_max']:.3g} lx at most{late}"
+    rows |= {f"probe {plain_name(name)}": _probe_row(each) for name, each in values.get("probes", {}).items()}
     for name, symbol in values["functions"].items():
         rows |= {f"{plain_name(name)}: {key}": text for key, text in _symbol_rows(symbol).items()}
     if (flicker := values.get("flicker")) is not None:
@@ -134,6 +135,13 @@ def _of_light(objects: Mapping[str, Summary], steps: int) -> dict[str, str]:
     if unseen := [name for name, each in objects.items() if each["lx_max"] is None]:
         rows["never in sight"] = ", ".join(unseen) if len(unseen) <= NAMED else f"{len(unseen)} objects"
     return rows
+
+
+def _probe_row(probe: Summary) -> str:
+    if probe["lx_mean"] is None:
+        return "its object never existed"
+    increment = f", threshold increment {probe['ti_percent_max']:.1f} % at most" if "ti_percent_max" in probe else ""
+    return f"{probe['lx_mean']:.3g} lx (mean), {probe['lx_min']:.3g} to {probe['lx_max']:.3g} lx{increment}"
 
 
 def _of_lost(objects: Mapping[str, Summary]) -> dict[str, str]:

@@ -5,11 +5,13 @@ import math
 import pytest
 import torch
 from matplotlib.figure import Figure
+from rich.console import Console
 
 from luxloop import LuxloopError, Simulation, load, run
 from luxloop.loop.recording.manifest import table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.report.courses import write_courses
+from luxloop.loop.report.run_table import summary_table
 from luxloop.loop.simulation.check import check_truth
 
 CAMERA = {"width_px": 160, "height_px": 90, "oversampling": 1}
@@ -116,9 +118,10 @@ def test_the_report_draws_the_threshold_increment_of_eyes_alone():
     simulation, result = lit({"eye": eye, "meter": {"position_m": [50.0, 0.0, 0.3]}})
     figure = Figure()
     write_courses(figure.add_subfigure(figure.add_gridspec()[0]), simulation, table_of([row(result)], schema(simulation)), {"objects": {}})
-    (drawn,) = (axes for axes in figure.axes if axes.get_ylabel() == "TI in %")
-    (curve,) = drawn.lines
-    assert curve.get_label() == "eye" and curve.get_ydata() == [result.glare["eye"].ti_percent] and figure.axes[-1].get_xlabel() == "s"
+    (curve,) = (curve for axes in figure.axes if axes.get_yscale() == "symlog" for curve in axes.lines)
+    assert (
+        curve.get_label() == "eye" and curve.get_ydata() == [result.glare["eye"].ti_percent] and figure.axes[-1].get_xlabel() == "time in s"
+    )
 
 
 @pytest.mark.slow
@@ -135,9 +138,14 @@ def test_an_eye_that_looks_nowhere_is_refused():
 
 def test_probes_are_columns_that_checks_hold(tmp_path):
     checks = {"seen": {"metric": "probes.eye.lx", "take": "max", "at_most": 1e6}}
-    values = {"camera": CAMERA, "steps": 2, "probes": {"eye": {"position_m": [50, 1.75, 1.1]}}, "checks": checks}
+    values = {"camera": CAMERA, "steps": 2, "probes": {"eye": {"position_m": [15, -2, 0]}}, "checks": checks}
     result = run(load("gfhb", **values), tmp_path / "run", video=False)
-    assert result.summary["checks"]["seen"]["passed"] and result.trajectory["probes.eye.lx"].to_pylist()[0] >= 0
+    lx = result.trajectory["probes.eye.lx"].to_numpy()
+    assert result.summary["checks"]["seen"]["passed"] and lx[0] > 0
+    assert result.summary["probes"] == {"eye": {"lx_min": lx.min(), "lx_mean": pytest.approx(lx.mean()), "lx_max": lx.max()}}
+    text = Console(record=True, width=200)
+    text.print(summary_table(result.summary, ""))
+    assert f"{lx.mean():.3g} lx (mean)" in text.export_text()
 
 
 @pytest.mark.parametrize(
