@@ -13,7 +13,6 @@ from luxloop.world.headlight.matrix import LUMINANCE
 CORE_DEG = 0.1  # least angle of the CIE's equation
 PIGMENT = 0.5  # of brown eyes; 0 black, 1.2 light blue
 SATURATION_CD_M2 = 1.2  # luminance in cd/m^2 that saturates an image at EV 0 (ISO 12232)
-WHITE = 4.0  # luminance, relative to that of the exposure, that is shown as white
 BRIGHT = 0.98  # share of the first picture that its exposure does not saturate
 DARKEST = 1e-3  # luminance in cd/m^2, of a moonless night
 EDGE = 0.06  # least contrast of an edge that is smoothed, of the picture's white
@@ -57,12 +56,11 @@ def exposure_of(light: Tensor) -> float:
 def develop(light: Tensor, exposure_ev: float) -> Tensor:
     """sRGB picture `[3, H, W]` in 0..1 of light `[3, H, W]` in cd/m^2, linear sRGB.
 
-    Luminance goes through the curve `x (1 + x/w²) / (1 + x)` (Reinhard et al. 2002), x being 1 at the exposure's saturation; hue is kept.
+    Each colour's largest channel goes through the curve `x / (1 + x)` (Reinhard et al. 2002), x being 1 at the exposure's saturation: no
+    edge shows where a glare becomes too bright for the display, and hue is kept.
     """
-    exposed = light / (SATURATION_CD_M2 * 2**exposure_ev)
-    x = (light.new_tensor(LUMINANCE)[:, None, None] * exposed).sum(0)
-    shown = exposed * ((1 + x / WHITE**2) / (1 + x))
-    linear = (shown / shown.amax(0).clamp(min=1)).clamp(min=0)  # what is too bright for the display keeps its hue
+    exposed = light.clamp(min=0) / (SATURATION_CD_M2 * 2**exposure_ev)
+    linear = exposed / (1 + exposed.amax(0))
     return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp(min=1e-9) ** (1 / 2.4) - 0.055)
 
 

@@ -173,24 +173,26 @@ class Onlooker:
         return VehiclePath.of(self.world.motion, self.duration_s)
 
     def _glare(self, lit: LitScene, lights: Sequence[Tensor], commands: Commands) -> Tensor:
-        """Veil `[H, W]` in cd/m^2 of the lamps that shine into the eye: those of others and of streets, and the own ones if the eye rides
-        along.
+        """Veil `[3, H, W]` in cd/m^2, linear sRGB, of the lamps that shine into the eye: those of others and of streets, and the own ones
+        if the eye rides along.
         """
         eye = lit.eye.origin[:, None]
         spots = ((spot, spot.position.double()[:, None]) for spot in lit.scene.spotlights_at(lit.time_s))
-        shining = [(place, float(spot_intensity(spot, (eye - place).float()))) for spot, place in spots]
-        shining += [(torch.tensor(each.position_m).double()[:, None], each.intensity_cd) for each in lit.scene.street_lamps]
+        shining = [(place, float(spot_intensity(spot, (eye - place).float())), spot.rgb) for spot, place in spots]
+        shining += [(torch.tensor(each.position_m).double()[:, None], each.intensity_cd, WHITE) for each in lit.scene.street_lamps]
         if self.rides is not None:
             for module, u, command in zip(lit.modules, lights, commands or (REST,) * len(lights), strict=True):
                 T = lit.vehicle.T_world_body @ command.turn(module.T_body_headlight).double().cpu()
                 cd = module.headlight.intensity(module.textures.light_texture(u).cpu(), T[:3, :3].T @ (eye - T[:3, 3:]))
-                shining.append((T[:3, 3:], command.intensity * float(cd)))
-        if not shining:
-            return torch.zeros(self.view.height, self.view.width)
-        places = torch.cat([place for place, _ in shining], 1)  # [3, n]
-        lx = torch.tensor([cd for _, cd in shining]) * lux_per_cd(places - eye, lit.eye.T_world_view[:3, 2:3]).float()
-        seen = sees(self._others(lit), lit.eye.origin, places, LAMP_M) & (lx > 0)
-        return veil(lit.eye, places[:, seen], lx[seen], self.age_years)
+                shining.append((T[:3, 3:], command.intensity * float(cd), WHITE))
+        total = torch.zeros(3, self.view.height, self.view.width)
+        for rgb in {rgb for *_, rgb in shining}:
+            places = torch.cat([place for place, _, each in shining if each == rgb], 1)  # [3, n]
+            intensities = torch.tensor([cd for _, cd, each in shining if each == rgb])
+            lx = intensities * lux_per_cd(places - eye, lit.eye.T_world_view[:3, 2:3]).float()
+            seen = sees(self._others(lit), lit.eye.origin, places, LAMP_M) & (lx > 0)
+            total += torch.tensor(rgb)[:, None, None] * veil(lit.eye, places[:, seen], lx[seen], self.age_years)
+        return total
 
 
 def first_oncoming(simulation: Simulation) -> str:

@@ -40,13 +40,15 @@ class Part:
 class Spotlight:
     """A lamp of a body. Its intensity is Gaussian over the angle; its light casts no shadows.
 
-    position, axis: `[3]`, m and unit, in the body frame. width_deg: standard deviations across and up.
+    position, axis: `[3]`, m and unit, in the body frame. width_deg: standard deviations across and up. rgb: colour, linear sRGB at
+    luminance 1.
     """
 
     position: Tensor
     axis: Tensor
     intensity_cd: float
     width_deg: tuple[float, float]
+    rgb: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)

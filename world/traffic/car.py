@@ -7,6 +7,7 @@ import torch
 from pydantic import Field
 
 from luxloop.world.scene.body import Body, Spotlight
+from luxloop.world.traffic.colours import TAIL_LAMP
 from luxloop.world.traffic.shapes import Floats, Piece, ellipsoid, plate, tube, xyz
 from luxloop.world.traffic.tracked import Looks, RandomParams, Reported
 
@@ -142,5 +143,5 @@ def spotlights(head: Floats, tail: Floats) -> tuple[Spotlight, ...]:
     ahead, back = torch.tensor([np.cos(down), 0.0, -np.sin(down)]), torch.tensor([-1.0, 0.0, 0.0], dtype=torch.float64)
     return (
         *(Spotlight(torch.from_numpy(each), ahead, LOW_BEAM_CD, LOW_BEAM_WIDTH_DEG) for each in head),
-        *(Spotlight(torch.from_numpy(each), back, TAIL_CD, (40.0, 15.0)) for each in tail),
+        *(Spotlight(torch.from_numpy(each), back, TAIL_CD, (40.0, 15.0), TAIL_LAMP) for each in tail),
     )

@@ -44,4 +44,5 @@ def _at_luminance_1(rgb: Rgb) -> Rgb:
 
 
 GRASS: Final = _at_luminance_1((0.2, 0.26, 0.1))
+TAIL_LAMP: Final = _at_luminance_1(RED)
 SKY: Final = _at_luminance_1((0.6, 0.75, 1.0))
