@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from itertools import cycle, product
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from matplotlib.ticker import LogFormatter, SymmetricalLogLocator
 
 from luxloop.controllers.functions.commands import MOVEMENTS
 from luxloop.loop.recording.checks import IN_FULL_LIGHT
-from luxloop.loop.recording.functions_summary import START_UP_S, UNITS, brightest, materials_of, plain_name, reference_power, zones_of
+from luxloop.loop.recording.functions_summary import UNITS, brightest, materials_of, plain_name, reference_power, zones_of
 from luxloop.loop.recording.summary import Summary, column
 from luxloop.loop.report.style import FOUR, heading
 from luxloop.loop.report.terminal import plural
@@ -24,6 +25,7 @@ COLOURS = (*FOUR, "#56b4e9", "#d55e00", "#000000", "#999999")
 GREYS = (":", "--", "-.")  # line styles of reference beams
 FAINTEST_LX = 0.01  # start of the logarithmic scale of illuminance on objects
 TI_PERCENT = (1.0, 10.0)  # start of the logarithmic scale of threshold increments, and its least upper end
+LINE = 85  # characters of a line as wide as a chart
 FEW_STEPS = 30  # steps up to which curves have markers
 
 
@@ -34,9 +36,9 @@ def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, su
         charts[lambda axes: _power(axes, simulation, table)] = 1.1
     commanded = [name for name in table.column_names if name.startswith("modules.")]
     if turned := [name for name in commanded if name.endswith("_deg")]:
-        charts[lambda axes: _modules(axes, table, turned, summary, "deg", "Modules, swivelled to the left and levelled down")] = 1.2
+        charts[lambda axes: _modules(axes, table, turned, summary, "Modules in deg, swivelled to the left and levelled down")] = 1.2
     if dimmed := [name for name in commanded if name.endswith(".intensity")]:
-        charts[lambda axes: _modules(axes, table, dimmed, summary, "share", "Maximum intensity of modules, of their own")] = 1.0
+        charts[lambda axes: _modules(axes, table, dimmed, summary, "Maximum intensity of modules, as a share of their own")] = 1.0
     if held := held_in(table):
         charts[lambda axes: _symbols(axes, table, held)] = 1.4
     if zones := zones_of(table):
@@ -47,17 +49,17 @@ def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, su
         charts[lambda axes: _eyes(axes, table, eyes)] = 1.6
     if any(materials_of(table, quantity) for quantity in UNITS):
         charts[lambda axes: _materials(axes, table)] = 2.0
-    shown, looks = brightest(summary["objects"]), simulation.pipeline is not None
-    if shown and looks:
+    shown = brightest(summary["objects"])
+    if any(summary["objects"][name].get("tracks") for name in shown):
         charts[lambda axes: _confidences(axes, table, shown, summary)] = 1.4
     if scores := [name.removesuffix(IN_FULL_LIGHT) for name in table.column_names if name.endswith(f".score{IN_FULL_LIGHT}")]:
         charts[lambda axes: _scores(axes, table, scores)] = 1.2
     if any(each["lx_max"] is not None for each in summary["objects"].values()):
-        charts[lambda axes: _on_objects(axes, table, shown, summary, with_names=not looks)] = 1.6
+        charts[lambda axes: _on_objects(axes, table, shown, summary)] = 1.6
     panels = figure.subplots(len(charts), 1, sharex=True, squeeze=False, height_ratios=list(charts.values()))[:, 0]
     for axes, chart in zip(panels, charts, strict=True):
         chart(axes)
-    panels[-1].set_xlabel("s")
+    panels[-1].set_xlabel("time in s")
 
 
 def _curve(axes: Axes, table: pa.Table, values: str | np.ndarray, *line: str, **style: Any) -> None:
@@ -73,19 +75,19 @@ def _flux(axes: Axes, simulation: Simulation, table: pa.Table) -> None:
         factor = column(table, f"lamp.{side}.power_factor").min()
         label = f"{side}, dimmed to {100 * factor:.0f} % in the worst step" if factor < 1 else side
         _curve(axes, table, f"lamp.{side}.flux_lm", color=colour, label=label)
-    axes.set(ylabel="lm", ylim=(0, 1.08 * axes.dataLim.ymax or 1))
-    heading(axes, "Luminous flux of the lamps")
+    axes.set_ylim(0, 1.08 * axes.dataLim.ymax or 1)
+    heading(axes, "Luminous flux of the lamps in lm")
 
 
 def _power(axes: Axes, simulation: Simulation, table: pa.Table) -> None:
     _curve(axes, table, "power_w", color="black", label="this run")
     for (name, watts), line in zip(reference_power(simulation, table).items(), GREYS, strict=False):
         _curve(axes, table, watts, line, color="0.5", label=name, marker="")
-    axes.set(ylabel="W", ylim=(0, 1.08 * axes.dataLim.ymax or 1))
-    heading(axes, "Electrical power, beside that of undimmed beams")
+    axes.set_ylim(0, 1.08 * axes.dataLim.ymax or 1)
+    heading(axes, "Electrical power in W, beside that of undimmed beams")
 
 
-def _modules(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summary, unit: str, title: str) -> None:
+def _modules(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summary, title: str) -> None:
     """Draw a curve for each group of modules with equal commands."""
     alike = defaultdict(list)
     for name in names:
@@ -99,8 +101,7 @@ def _modules(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summary
         how = " and ".join(words for movement, words in MOVEMENTS.items() if movement in movements)
         ends = f", at a limit in {at_end} of {table.num_rows} steps" if at_end else ""
         _curve(axes, table, np.array(values), color=colour, label=f"{whose} {how}{ends}")
-    axes.set(ylabel=unit)
-    if unit == "share":
+    if names[0].endswith(".intensity"):
         axes.set_ylim(-0.02, 1.05)
     heading(axes, title)
 
@@ -112,23 +113,23 @@ def _symbols(axes: Axes, table: pa.Table, held: Sequence[str]) -> None:
         _curve(axes, evaluated, f"functions.{name}.iou", color=colour, label=plain_name(name), marker=marker)
         lost = table.filter([reason not in (None, "", "no_frame") for reason in table[f"functions.{name}.loss"].to_pylist()])
         _curve(axes, lost, np.zeros(lost.num_rows), color=colour, linestyle="", marker="x", markersize=4)
-    axes.set(ylabel="IoU", ylim=(-0.02, 1.02))
-    heading(axes, "Symbols that are held: overlap with the target (x: lost)")
+    axes.set_ylim(-0.02, 1.02)
+    heading(axes, "Overlap (IoU) of held symbols with their targets (x: lost)")
 
 
 def _zones(axes: Axes, table: pa.Table, zones: Sequence[str]) -> None:
     for name, colour in zip(zones, cycle(COLOURS), strict=False):
         _curve(axes, table, f"functions.{name}.luminance", color=colour, label=plain_name(name))
         _curve(axes, table, f"functions.{name}.target", "--", color=colour, linewidth=0.9, marker="")
-    axes.set(ylabel="cd/m²", ylim=(0, 1.08 * axes.dataLim.ymax))
-    heading(axes, "Luminance of zones, and what is wanted (dashed)")
+    axes.set_ylim(0, 1.08 * axes.dataLim.ymax)
+    heading(axes, "Luminance of zones in cd/m², and what is wanted (dashed)")
 
 
 def _probes(axes: Axes, table: pa.Table, probes: Sequence[str]) -> None:
     for name, colour in zip(probes, cycle(COLOURS), strict=False):
         _curve(axes, table, name, color=colour, label=plain_name(name.split(".")[1]))
-    axes.set(ylabel="lx", ylim=(0, None))
-    heading(axes, "The lamps' light on probes")
+    axes.set_ylim(bottom=0)
+    heading(axes, "The lamps' light on probes in lx")
 
 
 def _eyes(axes: Axes, table: pa.Table, eyes: Sequence[str]) -> None:
@@ -137,14 +138,13 @@ def _eyes(axes: Axes, table: pa.Table, eyes: Sequence[str]) -> None:
         label = plain_name(name.split(".")[1]) + ("" if most else ": 0 % throughout")
         _curve(axes, table, name, color=colour, label=label)
     start, least = TI_PERCENT
-    axes.set_ylabel("TI in %")
     axes.set_yscale("symlog", linthresh=start)
     axes.set_ylim(-start / 10, max(least, 1.5 * axes.dataLim.ymax))
     ticks = SymmetricalLogLocator(base=10, linthresh=start)
     ticks.set_params(numticks=4)
     axes.yaxis.set_major_locator(ticks)
     axes.yaxis.set_major_formatter(lambda percent, _: f"{percent:g}")
-    heading(axes, "Threshold increment by the lamps in eyes")
+    heading(axes, "Threshold increment in % by the lamps in eyes")
 
 
 def _materials(axes: Axes, table: pa.Table) -> None:
@@ -156,18 +156,18 @@ def _materials(axes: Axes, table: pa.Table) -> None:
         label = f"{plain_name(name)}: {wanted[-1]:g} {UNITS[quantity]}".replace("^2", "²")
         _curve(axes, table, values / wanted, line, color=colour, label=label)
     axes.axhline(1.0, color="0.5", linewidth=0.9)
-    axes.set(ylabel="of what is wanted", ylim=(0, None))
+    axes.set_ylim(bottom=0)
     heading(axes, "Light of materials, median, as a share of what is wanted")
 
 
 def _confidences(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summary) -> None:
+    """Draw the objects that a track shows at some time, in their colours of `_on_objects`."""
     for name, colour in zip(names, COLOURS, strict=False):
-        gone = summary["objects"][name]["steps_lost"]
-        label = plain_name(name) + (f", lost in {gone} steps" if gone else "")
-        _curve(axes, table, f"objects.{name}.confidence", color=colour, label=label, marker="")
+        if summary["objects"][name]["tracks"]:
+            _curve(axes, table, f"objects.{name}.confidence", color=colour, label=plain_name(name), marker="")
     axes.set(ylim=(0, 1.02))
     nothing = summary["tracks_of_nothing"]
-    heading(axes, "Confidence of objects" + (f" (false tracks in {nothing} steps)" if nothing else ""))
+    heading(axes, "Confidence of tracked objects" + (f" (false tracks in {nothing} steps)" if nothing else ""))
 
 
 def _scores(axes: Axes, table: pa.Table, scores: Sequence[str]) -> None:
@@ -177,27 +177,23 @@ def _scores(axes: Axes, table: pa.Table, scores: Sequence[str]) -> None:
     heading(axes, "Scores of detections in single frames")
 
 
-def _on_objects(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summary, with_names: bool) -> None:
+def _on_objects(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summary) -> None:
     """Draw the named objects one by one, and the largest illuminance on any other object in sight."""
     most_lx = {name: each["lx_max"] for name, each in summary["objects"].items()}
     others = [name for name, lx in most_lx.items() if lx is not None and name not in names]
     for name, colour in zip(names, COLOURS, strict=False):
-        dark = not most_lx[name]
-        label = f"{plain_name(name)}: 0 lx throughout" if dark else plain_name(name) if with_names else None
-        _curve(axes, table, f"objects.{name}.lx_mean", color=colour, label=label)
+        _curve(axes, table, f"objects.{name}.lx_mean", color=colour, label=plain_name(name) if most_lx[name] else None)
         _curve(axes, table, f"objects.{name}.lx_max", ":", color=colour, linewidth=0.9, marker="")
+    if dark := [plain_name(name) for name in names if not most_lx[name]]:
+        note = fill(f"0 lx throughout: {', '.join(dark)}", LINE)
+        axes.text(0.99, 0.06, note, transform=axes.transAxes, fontsize=8, ha="right")
     if others:
         most = np.fmax.reduce([column(table, f"objects.{name}.lx_max") for name in others])
-        lit = "" if np.nanmax(most) else ": 0 lx throughout"
+        lit = "" if np.nanmax(most) else ": 0 lx"
         label = f"most on {plural(len(others), 'other' if names else 'object')}{lit}"
         _curve(axes, table, most, color="0.5", linewidth=0.9, label=label, marker="")
-    if names:
-        axes.plot([], [], color="0.5", linestyle=":", linewidth=0.9, label="most on each")
     if summary.get("eyes_lx_max") is not None:
-        later = summary["eyes_lx_max_after_start_up"]
-        figure = "" if later is None else f": {later:.2g} lx from {START_UP_S:g} s on"
-        _curve(axes, table, "eyes_lx_max", "--", color="0.5", label=f"maximum on heads and windscreens{figure}", marker="")
-    axes.set_ylabel("lx")
+        _curve(axes, table, "eyes_lx_max", "--", color="0.5", label="heads, windscreens", marker="")
     if axes.dataLim.ymin < FAINTEST_LX:
         axes.set_yscale("symlog", linthresh=FAINTEST_LX)
         axes.set_ylim(bottom=-FAINTEST_LX / 10)
@@ -205,4 +201,4 @@ def _on_objects(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summ
         axes.set_yscale("log")
         axes.yaxis.set_minor_formatter(LogFormatter())
     axes.yaxis.set_major_formatter(lambda lx, _: f"{lx:g}")
-    heading(axes, "The lamps' light on objects, mean and most (dotted)")
+    heading(axes, "The lamps' light on objects in lx, mean and most (dotted)")

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import SubFigure
 from matplotlib.patches import Polygon
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from luxloop.loop.recording.checks import lines
@@ -42,7 +43,7 @@ WIDE_IN, DPI = 13.0, 130
 LIGHT_IN, ABOVE_IN = 8.6, 3.4  # height of the part on all light, and of its row of pictures from above
 TALLER_IN = 2.2  # added with a detector, for two large pictures of the camera, and with materials, for their chart
 WALL_COLUMNS = 480
-CHARACTERS = 125  # of marks, side by side, that fill a large picture of the camera
+MARK_IN = 0.06  # width of a mark's character, with its share of the margins of a picture
 LINE_IN, FACTS = 0.16, 225  # height of a line of facts, and its characters
 SMALL, HIGH = 3, {1: 2.0, 2: 2.2, 3: 3.2}  # pictures of the camera below the driver's; its height for their number, relative to theirs
 LEGEND = 110  # characters of a line of the legend of the camera's pictures
@@ -104,25 +105,24 @@ def _draw_light(figure: SubFigure, simulation: Simulation, highlights: Highlight
 
 
 def _title(simulation: Simulation, last: Evaluation, summary: Summary) -> tuple[str, ...]:
-    dark_lx, scenario, folder = summary["dark_lx_max"], simulation.scenario, shadow_of(simulation.scenario.plant)
+    dark_lx, folder = summary["dark_lx_max"], shadow_of(simulation.scenario.plant)
     return (
-        scenario.name,
+        simulation.scenario.name,
         simulation.modules[0].lamp.name,
         f"{plural(summary['steps'], 'step')} to {last.time_s:.2f} s",
         "" if dark_lx is None else f"{dark_lx:.3g} lx at most on masked objects",
-        f"symbols on for {1 - scenario.off_share:.0%} at {scenario.rate_hz:g} Hz" if scenario.symbols else "",
         "" if folder is None else f"{SHADOW} {Path(folder).name}",
-        processing(summary, "a step"),
     )
 
 
 def _facts(simulation: Simulation, summary: Summary, manifest: Manifest) -> str:
-    """What a reviewer asks of a run: when and with what it was made, the lamps and their notes, the checks."""
-    lamps = {module.lamp.name: module.lamp.notes for module in simulation.modules}
+    """What a reviewer asks of a run: when and with what it was made, the time of a step, the lamps and their notes, the checks."""
+    scenario, lamps = simulation.scenario, {module.lamp.name: module.lamp.notes for module in simulation.modules}
     made = ", ".join(f"{name} {manifest.versions[name]}" for name in ("luxloop", "python", "torch"))
+    flicker = f"; symbols on for {1 - scenario.off_share:.0%} at {scenario.rate_hz:g} Hz" if scenario.symbols else ""
     paragraphs = [
         f"Run of {manifest.started_utc[:16].replace('T', ' ')} UTC with {made}; renderer {manifest.renderer}, seed {manifest.seed}, "
-        f"scenario {manifest.scenario_sha256[:12]}",
+        f"scenario {manifest.scenario_sha256[:12]}; {processing(summary, 'a step')}{flicker}",
         *(f"Lamp {name}. {' '.join(notes.split())}" for name, notes in lamps.items()),
         *(f"{name}: {line}" for name, line in lines(summary).items()),
     ]
@@ -183,11 +183,15 @@ def _legend(simulation: Simulation) -> str:
 def _camera(axes: Axes, simulation: Simulation, result: Evaluation, white: float) -> None:
     image = (camera_luminance(result, simulation).cpu().numpy() / white).clip(0, 1) ** 0.5
     axes.imshow(image, **SHARES)
-    for mark in readable(marks(result, simulation), image.shape[1] / CHARACTERS, image.shape[1]):
+    place, figure = axes.get_subplotspec(), axes.figure
+    assert place is not None
+    across_in = figure.bbox.width / figure.dpi / place.get_gridspec().ncols * len(place.colspan)
+    for mark in readable(marks(result, simulation), image.shape[1] * MARK_IN / across_in, image.shape[1]):
         colour = _colour(mark.kind)
         for (u0, v0), (u1, v1) in mark.lines:
             axes.plot([u0, u1], [v0, v1], color=colour, linewidth=0.7)
-        axes.annotate(mark.text, mark.at, (0, 2), textcoords="offset points", color=colour, fontsize=6.5, clip_on=True)
+        text = axes.annotate(mark.text, mark.at, (0, 2), textcoords="offset points", color=colour, fontsize=6.5, clip_on=True)
+        text.set_path_effects([withStroke(linewidth=1.5, foreground="black")])
     axes.set(xlim=(-0.5, image.shape[1] - 0.5), ylim=(image.shape[0] - 0.5, -0.5), xticks=[], yticks=[])
     share = result.plan.base.share
     beam = simulation.base(result.plan.base.name) + (f" at {100 * share:.0f} %" if share < 1 else "")

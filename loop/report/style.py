@@ -36,8 +36,8 @@ STYLE: Any = DEFAULTS | {
 FOUR = ("#0072b2", "#e69f00", "#009e73", "#cc79a7")  # Okabe and Ito, for colour-blind readers too
 NIGHT = LinearSegmentedColormap.from_list("night", ["#05070c", "#3a3f4a", "#a9a598", "#fffbe8"])
 SHARES: Any = {"cmap": NIGHT, "vmin": 0, "vmax": 1, "interpolation": "antialiased"}  # of an image in 0..1
-BOLD_IN = 0.0098  # width of a bold character a point of its size
-CHARACTER_IN, LINE_IN, AROUND_IN = 0.055, 0.4, 0.7  # width of a legend's character and of its line with margins; margins of a chart
+BOLD_IN = 0.0081  # width of a bold character a point of its size
+CHARACTER_IN, LINE_IN, AROUND_IN = 0.053, 0.38, 0.6  # width of a legend's character and of its line with margins; margins of a chart
 
 
 def heading(axes: Axes, title: str, *more: Axes) -> None:
@@ -96,9 +96,15 @@ def no_frame(axes: Axes) -> None:
 
 
 def page_title(figure: Figure | SubFigure, *parts: str, size: float = 11.5) -> None:
-    """Write a page's title on its upper left, in lines that fit; empty parts are left out."""
+    """Write a page's title on its upper left, in lines that fit and end between parts; empty parts are left out."""
     characters = int(figure.bbox.width / figure.dpi / (BOLD_IN * size))
-    figure.suptitle(fill("  ·  ".join(filter(None, parts)), characters), x=0.012, ha="left", fontsize=size, weight="bold")
+    figure.suptitle(
+        fill("  ·  ".join(part.replace(" ", "\u00a0") for part in parts if part), characters),
+        x=0.012,
+        ha="left",
+        fontsize=size,
+        weight="bold",
+    )
 
 
 @contextmanager

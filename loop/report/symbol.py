@@ -17,7 +17,7 @@ from luxloop.loop.recording.remedies import SHADOW, remedies, why_no_metrics
 from luxloop.loop.recording.summary import DRAWN, Summary, column
 from luxloop.loop.report.facts import borders_deg
 from luxloop.loop.report.highlights import SymbolHistory
-from luxloop.loop.report.style import FOUR, SHARES, STYLE, columns, field, heading, no_frame, rows
+from luxloop.loop.report.style import FOUR, SHARES, STYLE, columns, field, heading, no_frame, page_title, rows
 from luxloop.loop.report.terminal import number
 from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.columns import ERRORS
@@ -38,7 +38,7 @@ Image = NDArray[np.floating]
 
 TARGET, PATH, LOST = "#00c8ff", "#ff2020", "#d55e00"
 HIGH_IN = 9.4  # height of a symbol's part of a page
-TITLE, NOTE = 125, 175  # characters of a line as wide as the page
+NOTE = 175  # characters of a line as wide as the page
 WHY = 40  # characters of a line in a chart
 OTHERWISE = (("black", "--"), (FOUR[2], "-"), (FOUR[3], "-"), ("0.5", "-"))  # colour and line of each curve of `DRAWN`
 FEW_STEPS = 60  # steps up to which curves have markers
@@ -56,7 +56,7 @@ def draw_symbol(figure: SubFigure, simulation: Simulation, history: SymbolHistor
         "at the end": (last.exposures[0].lights, last.exposures[-1].lights),
     }
     shadow = shadow_of(simulation.scenario.plant)
-    figure.suptitle(fill(_title(simulation, history.name, summary, shadow), TITLE), x=0.012, ha="left", fontsize=12.5, weight="bold")
+    page_title(figure, *_title(simulation, history.name, summary, shadow), size=11)
     notes = [] if shadow else remedies(history.name, summary)
     figure.supxlabel("\n".join(fill(note, NOTE) for note in notes), x=0.012, ha="left", fontsize=10)
     left, right = columns(figure, 4.3, 7.7)
@@ -74,20 +74,20 @@ def draw_symbol(figure: SubFigure, simulation: Simulation, history: SymbolHistor
     _beam_patterns(beam, symbol, lights["at the end"][0], "asked for" if shadow else "at the end")
 
 
-def _title(simulation: Simulation, name: str, summary: Summary, shadow: str | None) -> str:
-    who = f"{simulation.scenario.name}: {name}  ({summary['controller']})"
+def _title(simulation: Simulation, name: str, summary: Summary, shadow: str | None) -> tuple[str, ...]:
+    who = f"{simulation.scenario.name}: {name} ({summary['controller']})"
     if shadow is not None:
-        return f"{who}  ·  {SHADOW} {Path(shadow).name}"
-    lost = f"  ·  lost in {summary['lost_steps']} of {summary['shown_steps']} steps" if summary["lost_steps"] else ""
+        return who, f"{SHADOW} {Path(shadow).name}"
+    lost = f"lost in {summary['lost_steps']} of {summary['shown_steps']} steps" if summary["lost_steps"] else ""
     if (why := why_no_metrics(summary)) is not None:
-        return f"{who}  ·  {why}{lost}"
+        return who, why, lost
     unsettled = summary["unsettled"]
     settled = f"settled at step {summary['settle_step']}" if unsettled is None else f"not settled: {unsettled.replace('_', ' ')}"
     x, y = (number(value, ".1f") for value in summary["centroid_error_percent"])
     mean, mean_open, ended, ended_open = (number(summary[key], ".2f") for key in ("iou_mean", "iou_open_mean", "iou_final", "iou_open"))
-    last = f"{ended} at the last step, {ended_open} there without control"
-    iou = f"IoU {mean} on average, {last if summary['iou_open_mean'] is None else f'{mean_open} without control'}"
-    return f"{who}  ·  {settled}  ·  {iou}  ·  centroid error {x} %, {y} %{lost}"
+    last = f"{ended} at the end, {ended_open} without control"
+    iou = f"mean IoU {mean}, {last if summary['iou_open_mean'] is None else f'{mean_open} without control'}"
+    return who, settled, iou, f"centroid error {x} %, {y} %", lost
 
 
 def _courses(figure: SubFigure, target: SymbolFunctionParams, history: SymbolHistory, table: pa.Table, summary: Summary) -> None:
@@ -128,8 +128,8 @@ def _courses(figure: SubFigure, target: SymbolFunctionParams, history: SymbolHis
     for axes, least in ((pose, LEAST_M), (turned, LEAST_DEG)):
         low, high = axes.get_ylim()
         axes.set_ylim(min(low, -least), max(high, least))
-    pose.set_ylabel("m")
-    turned.set_ylabel("deg (dashed)")
+    pose.set_ylabel("position in m")
+    turned.set_ylabel("angle in deg (dashed)")
     heading(pose, "Pose of the primitive", turned)
 
     truth.axhspan(-2, 2, color="0.5", alpha=0.15, lw=0)
@@ -148,7 +148,7 @@ def _courses(figure: SubFigure, target: SymbolFunctionParams, history: SymbolHis
         if mean is not None:
             _line(overlap, steps, column(table, key), color=colour, ls=line, lw=1, label=f"{DRAWN[key]}: {mean:.2f}")
     if known["iou_open"] is None and summary["iou_open"] is not None:
-        overlap.axhline(summary["iou_open"], color="black", ls="--", lw=1, label="IoU without control, at the last step")
+        overlap.axhline(summary["iou_open"], color="black", ls="--", lw=1, label="IoU at the end in open loop")
     overlap.set(ylim=(0, 1), ylabel="IoU with the target")
     heading(truth, "How the symbol lies, without noise", overlap)
     truth.set(xlabel="control step", xlim=(steps[0], max(steps[-1], steps[0] + 1)))
@@ -279,8 +279,8 @@ def _birds_eye_views(figure: SubFigure, evaluator: SymbolEvaluator, lights: Pair
         axes.set_title(title, weight="normal", loc="center")
         axes.grid(False)
         left, right = symbol.y_m + symbol.width_m, symbol.y_m - symbol.width_m
-        axes.set(xlabel="y in m", xlim=(left, right), ylim=(symbol.x_m - symbol.length_m, symbol.x_m + 1.2 * symbol.length_m))
-    figure.axes[0].set_ylabel("x in m")
+        axes.set(xlabel="to the left in m", xlim=(left, right), ylim=(symbol.x_m - symbol.length_m, symbol.x_m + 1.2 * symbol.length_m))
+    figure.axes[0].set_ylabel("ahead in m")
 
 
 def _beam_patterns(figure: SubFigure, symbol: ControlledSymbol, on: Lights, when: str) -> None:

@@ -1,6 +1,7 @@
 """What report and summary of lighting functions tell: charts that nothing hides, energy beside that of beams, whom the tracker loses."""
 
 import tomllib
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from rich.console import Console
 from luxloop import Detections, Scenario, Simulation, run, validate
 from luxloop.loop.recording.functions_summary import NAMED, brightest, eyes_lx, lost_steps, reference_power, steps_of_nothing
 from luxloop.loop.report.courses import write_courses
+from luxloop.loop.report.page import _camera
 from luxloop.loop.report.picture import Mark, readable
 from luxloop.loop.report.run_table import _of_light, _of_lost, summary_table
 from luxloop.loop.report.style import STYLE
@@ -59,7 +61,7 @@ def test_every_chart_is_there_and_no_legend_lies_over_one(tmp_path):
         figure.canvas.draw()
     charts = {_title(axes): axes for axes in figure.axes}
     assert [title.split()[0] for title in charts] == ["Luminous", "Electrical", "Luminance", "Confidence", "The"]
-    zone = charts["Luminance of zones, and what is wanted (dashed)"]
+    zone = charts["Luminance of zones in cd/m², and what is wanted (dashed)"]
     measured, wanted = (np.asarray(line.get_ydata()).tolist() for line in zone.get_lines())
     assert measured == table["functions.wall.luminance"].to_pylist() and wanted == [0.1] * 4
     for axes in charts.values():
@@ -159,6 +161,20 @@ def test_texts_do_not_cover_each_other():
     assert [mark.text for mark in found] == list(places) and [mark.at[1] for mark in found[:4]] == [50, 50, 35, 62]  # 10 px high
     crowd = readable([Mark((), text=name, at=(100, 50)) for name in "abcd"], 5.0, 640)
     assert [(mark.text, mark.at[1]) for mark in crowd[:3]] == [("a", 50), ("b", 40), ("c", 30)] and crowd[3].text == ""
+
+
+def test_labels_in_small_pictures_of_the_camera_do_not_overlap():
+    walkers = [WALKER[0] | {"name": f"walker_{k}", "track": [{"position_m": [15, 1.5 - k, 0]}]} for k in range(4)]
+    simulation = Simulation.prepare(scenario({}, steps=4, objects=walkers, detector={"kind": "truth"}, tracker={"confirm_frames": 1}))
+    *_, result = simulation.evaluations()
+    with rc_context(STYLE):
+        figure = Figure((7.6, 2.4), 80, layout="constrained")
+        FigureCanvasAgg(figure)
+        for axes in figure.add_subfigure(figure.add_gridspec()[0]).subplots(1, 2):
+            _camera(axes, simulation, result, 1.0)
+        figure.canvas.draw()
+    around = [text.get_window_extent() for text in figure.axes[0].texts if text.get_text()]
+    assert len(around) >= 3 and not any(a.overlaps(b) for a, b in combinations(around, 2))
 
 
 def test_light_on_eyes_is_told_without_the_start_up():
