@@ -95,7 +95,7 @@ def rule_set(set_id: str) -> RuleSet:
 Intensity = Callable[[Tensor], Tensor]  # directions [3, N] of the lamp frame -> cd [N]
 Verdict = Literal["pass", "fail", "not applicable", "unknown"]
 Traffic = Literal["left", "right"]
-UNITS = {"flux": "lm", "sharpness": "decades in 0.1 deg", "straightness": "deg"}  # of values by kind of requirement, else cd
+UNITS = {"flux": "lm", "unknown": "", "sharpness": "decades in 0.1 deg", "straightness": "deg"}  # of values by kind of requirement, else cd
 
 
 @dataclass(frozen=True)
