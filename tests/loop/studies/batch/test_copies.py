@@ -22,7 +22,7 @@ SMALL = [
     scope="module",
     params=[
         (),
-        ("headlight.lamps=['left', 'right']", "lighting.base.beam=low"),
+        ("headlight={ model='ssl-hd', lamps=['left', 'right'] }", "lighting.base.beam=low"),
         ("camera.noise=false",),
         ("functions.symbol.features.view=birdseye", "functions.symbol.extraction.edges=binary"),
         ("disturbances.ambient=[{ factor=3.0, from_step=1 }]", "disturbances.noise=[{ factor=1.5, until_step=3 }]"),

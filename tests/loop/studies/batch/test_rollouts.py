@@ -35,7 +35,7 @@ def scenario(*more: str, steps: int = 5) -> Scenario:
 
 @pytest.fixture(
     scope="module",
-    params=[(), ("camera.latency_steps=1",), ("headlight={ model='ssl-hd-lores', lamps=['left', 'right'] }", "lighting.base.beam=low")],
+    params=[(), ("camera.latency_steps=1",), ("headlight={ model='ssl-hd', lamps=['left', 'right'] }", "lighting.base.beam=low")],
 )
 def simulation(request: pytest.FixtureRequest) -> Simulation:
     return simulation_of(scenario(*request.param))
