@@ -24,7 +24,8 @@ from luxloop.perception.detection.detector import (
     encode,
 )
 from luxloop.perception.detection.network import NetworkDetector, load
-from luxloop.perception.detection.onnx import SHARES, OnnxDetector
+from luxloop.perception.detection.onnx import OnnxDetector
+from luxloop.perception.detection.onnx_layouts import SHARES
 from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.traffic.tracked import Category

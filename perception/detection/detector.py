@@ -2,18 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Literal, Protocol, Self
 
 import numpy as np
 import torch
-from pydantic import Field
+from pydantic import Field, model_validator
 from torch import Tensor
 
 from luxloop.world.params import NotNegative, Params, PositiveShare, Share
 from luxloop.world.plugin import KnownOrOwn, OwnPart
 from luxloop.world.traffic.tracked import Category
 
-Layout = Literal["yolov5", "yolov8", "yolov10"]
+Layout = Literal["yolov5", "yolov8", "yolov10", "yolox", "rows", "rtdetr", "detr", "scored", "listed"]
 
 
 @dataclass(frozen=True)
@@ -80,19 +80,30 @@ def best_detections(boxes: Tensor, scores: Tensor, threshold: float, overlap: fl
     return Detections(boxes[kept], scores[kept])
 
 
-# luxloop's classes by COCO's class numbers, which most public networks use; other classes are dropped.
-COCO: dict[int, Category] = {
-    0: "pedestrian",
-    1: "cyclist",
-    2: "car",
-    3: "motorcycle",
-    5: "truck",
-    7: "truck",
-    **dict.fromkeys(range(14, 24), "animal"),
+# luxloop's classes by COCO's names, which most public networks have; other classes are dropped.
+ANIMALS = ("bird", "cat", "dog", "horse", "sheep", "cow", "elephant", "bear", "zebra", "giraffe")
+COCO_NAMES: dict[str, Category] = {
+    "person": "pedestrian",
+    "pedestrian": "pedestrian",
+    "bicycle": "cyclist",
+    "cyclist": "cyclist",
+    "rider": "cyclist",
+    "car": "car",
+    "motorcycle": "motorcycle",
+    "motorbike": "motorcycle",
+    "bus": "truck",
+    "truck": "truck",
+    **dict.fromkeys((*ANIMALS, "animal"), "animal"),
 }
-COCO_CLASSES = 80
+COCO: dict[int, Category] = {0: "pedestrian", 1: "cyclist", 2: "car", 3: "motorcycle", 5: "truck", 7: "truck"} | dict.fromkeys(
+    range(14, 24), "animal"
+)  # by the numbers of 80 classes
+COCO91: dict[int, Category] = {1: "pedestrian", 2: "cyclist", 3: "car", 4: "motorcycle", 6: "truck", 8: "truck"} | dict.fromkeys(
+    range(16, 26), "animal"
+)  # by COCO's own numbers, which leave gaps
 MOST_PX = 8192
 Side = Annotated[int, Field(ge=1, le=MOST_PX)]  # px
+ClassName = Annotated[Annotated[int, Field(ge=0, lt=1_000_000)] | str, Field(union_mode="left_to_right")]
 
 
 class FoundParams(Params):
@@ -125,18 +136,40 @@ class HogParams(CodedParams):
     )
 
 
+Colour = tuple[float, float, float] | float  # of channels in their order; frames are grey, so that all channels show the same
+
+
 class OnnxParams(CodedParams):
-    """A user-provided network as an ONNX file, run by OpenCV."""
+    """A user-provided network as an ONNX file, run by onnxruntime, or by OpenCV without it."""
 
     kind: Literal["onnx"] = "onnx"
     file: str = Field(min_length=1, examples=["detector.onnx"], description="ONNX file of the network")
-    layout: Layout = Field("yolov8", description="layout of its output, named after a network family")
-    input_px: tuple[Side, Side] = Field((640, 640), description="width and height of its input; frames are fitted in")
-    channels: Literal[1, 3] = Field(3, description="channels of its input, all with the same grey")
-    white: Literal[1, 255] | None = Field(None, description="number of white in its input, 255 for YOLOX; left out: 1")
-    classes: dict[Annotated[int, Field(ge=0, le=1_000_000)], Category] | None = Field(
-        None, min_length=1, description="luxloop's class for each of its class numbers; others are ignored; left out: COCO's"
+    layout: Layout | None = Field(None, description="layout of its outputs (see docs/detectors.md); left out: found from its outputs")
+    input_px: tuple[Side, Side] | None = Field(
+        None, description="width and height of its input, where the file leaves them open; left out: the file's, or 640 x 640"
     )
+    fit: Literal["letterbox", "stretch", "tiles"] = Field(
+        "letterbox",
+        description="fits frames in: whole with a grey border, stretched, or in tiles of their height that overlap",
+    )
+    white: Literal[1, 255] | None = Field(None, description="number of white in its input; left out: 255 for bytes and yolox, else 1")
+    mean: Colour | None = Field(
+        None, description="mean subtracted from its input, as shares of white; left out: 0"
+    )
+    std: Colour | None = Field(None, description="deviation by which that is divided, as shares of white; left out: 1")
+    classes: Literal["coco", "coco91"] | dict[ClassName, Category] | None = Field(
+        None,
+        description="luxloop's class for each of its classes, by number or by the name in the file; others are ignored; coco: COCO's 80 "
+        "classes; coco91: COCO's own numbers; left out: by the names in the file, else COCO's",
+    )
+
+    @model_validator(mode="after")
+    def _divides(self) -> Self:
+        if self.classes == {}:
+            raise ValueError("classes: names no class; leave it out for COCO's")
+        if self.std is not None and min(np.ravel(self.std)) <= 0:
+            raise ValueError("std: must be above 0")
+        return self
 
 
 class OwnDetector(OwnPart):

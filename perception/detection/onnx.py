@@ -1,93 +1,47 @@
-"""User-provided networks: any ONNX file with the output layout of a YOLO family, run by OpenCV on the CPU."""
+"""User-provided networks: any ONNX file whose outputs have a known layout, on the CPU."""
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn.functional import one_hot
 
-from luxloop.perception.detection.detector import COCO, COCO_CLASSES, Detections, Layout, OnnxParams, best_detections, encode
-from luxloop.perception.detection.onnx_file import error_text, open_network, size_text
-from luxloop.world.errors import LuxloopError
+from luxloop.perception.detection.detector import COCO, COCO91, COCO_NAMES, Detections, Layout, OnnxParams, best_detections, encode
+from luxloop.perception.detection.onnx_file import open_network, size_text
+from luxloop.perception.detection.onnx_layouts import LAYOUTS, Form, Outputs, cells, fitting, read
+from luxloop.world.errors import LuxloopError, did_you_mean
 from luxloop.world.traffic.tracked import Category
 
-LAYOUTS: Mapping[Layout, str] = {
-    "yolov5": "1 x boxes x (5 + classes)",
-    "yolov8": "1 x (4 + classes) x boxes",
-    "yolov10": "1 x boxes x 6",
-}
-ROUNDING = 1e-3  # by which a score may leave 0..1
-ROUNDING_PX = 1.0  # by which a side may be below 0: corners in half precision are that coarse
-SHARES = 2.0  # px; if no box reaches farther, boxes are given as shares of the picture
-STRIDES = (4, 8, 16, 32, 64)  # px; side of the cells of a network's levels, of which each uses three or more that follow each other
-ANCHORS = 3  # boxes a cell of YOLOv5 and YOLOv7; others have one
-NEAR = 1 / 8  # of the picture's side; if no box of any cell reaches farther, boxes are offsets from their cells
-MOST_CLASSES = 10_000  # of a network
-
-
-def one_a_cell(n_boxes: float, input_px: tuple[int, int]) -> bool:
-    """Whether n_boxes is the number of cells of three or more successive levels of a picture."""
-    cells = [(input_px[0] // stride) * (input_px[1] // stride) for stride in STRIDES]
-    return n_boxes in {sum(cells[first:last]) for first in range(len(cells)) for last in range(first + 3, len(cells) + 1)}
-
-
-def read(out: Tensor, layout: Layout, input_px: tuple[int, int]) -> tuple[Tensor, Tensor]:
-    """Boxes `[n, 4]` in px of the network's picture (left, top, right, bottom) and scores `[n, C]` in 0..1 of all its classes.
-
-    out: the network's output. input_px: width and height of its picture. Boxes that are not finite are dropped. Raises ValueError with the
-    actual shape if the output does not have the layout.
-    """
-    if out.ndim != 3 or len(out) != 1:
-        raise ValueError("there must be three dimensions, the first of 1")
-    rows = out[0].T if layout == "yolov8" else out[0]
-    first = {"yolov8": 4, "yolov5": 5, "yolov10": 5}[layout]
-    if rows.shape[1] <= first or (layout == "yolov10" and rows.shape[1] != 6):
-        raise ValueError(f"each box has {rows.shape[1]} numbers")
-    finite = rows[rows.isfinite().all(1)]
-    if len(rows) and not len(finite):
-        raise ValueError("no box has finite numbers only")
-    boxes, rest = finite[:, :4], finite[:, first:]
-    if layout == "yolov10":
-        scores = _by_class(finite[:, 4], finite[:, 5])
-    else:
-        in_order = bool((boxes[:, 2:] >= boxes[:, :2]).all())  # as corners are, but not middles and sides
-        if layout == "yolov5" and rest.shape[1] == 1 and len(rest) and _whole(rest) and in_order:
-            raise ValueError("the sixth number of each box is whole, as the classes of yolov10 are")
-        scores = rest * finite[:, 4:5] if layout == "yolov5" else rest
-        middle, half = boxes[:, :2], boxes[:, 2:] / 2
-        boxes = torch.cat([middle - half, middle + half], 1)
-    if len(finite):
-        _plausible(boxes, scores)
-        dense = layout != "yolov10" and any(one_a_cell(len(rows) / each, input_px) for each in (1, ANCHORS))
-        if dense and (farthest := float(boxes.max())) <= NEAR * min(input_px):
-            raise ValueError(f"the boxes of all cells reach to {farthest:.3g} px at most, so they seem to be offsets that are not decoded")
-    return boxes, scores.clamp(0, 1)
-
-
-def _plausible(boxes: Tensor, scores: Tensor) -> None:
-    low, high = (float(each) for each in scores.aminmax())
-    if low < -ROUNDING or high > 1 + ROUNDING:
-        raise ValueError(f"scores reach from {low:.3g} to {high:.3g} and not within 0..1")
-    if (thinnest := float((boxes[:, 2:] - boxes[:, :2]).min())) < -ROUNDING_PX:
-        raise ValueError(f"boxes have sides down to {thinnest:.3g} px")
-    if 0 < (farthest := float(boxes.max())) <= SHARES:
-        raise ValueError(f"boxes reach to {farthest:.3g} at most, so they seem to be shares of the picture and not px")
-
-
-def _by_class(scores: Tensor, numbers: Tensor) -> Tensor:
-    """Scores `[n, C]` of boxes of one class each, from the scores `[n]` and the class numbers `[n]`."""
-    if len(numbers) and not (_whole(numbers) and numbers.min() >= 0 and numbers.max() < MOST_CLASSES):
-        raise ValueError("the sixth number of each box is not a class number")
-    return scores[:, None] * one_hot(numbers.long(), int(max(numbers.tolist(), default=0)) + 1)
-
-
-def _whole(numbers: Tensor) -> bool:
-    return bool((numbers == numbers.round()).all())
-
-
 GREY = 114  # of the border around a fitted frame, as in training
+OVERLAP = 0.25  # least share that neighbouring tiles have in common
+EDGE_PX = 2.0  # of the network's picture; a box so near to an inner side of a tile is cut there
+OWN = "or write a detector of your own"
+NUMBERINGS: Mapping[str, Mapping[int, Category]] = {"coco": COCO, "coco91": COCO91}
+COUNTS = {80: "coco", 91: "coco91"}  # classes of networks that do not name theirs
+IMAGENET = "mean = [0.485, 0.456, 0.406] and detector.std = [0.229, 0.224, 0.225]"
+
+
+@dataclass(frozen=True)
+class Window:
+    """A part of a frame in the network's picture: x_picture = left_px + scale_x * (x_frame - x), and likewise y."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+    scale: tuple[float, float]
+    left_px: int
+    top_px: int
+
+    def into_frame(self, boxes: Tensor) -> Tensor:
+        """Boxes `[n, 4]` px of the frame, from those of the picture."""
+        return (boxes - boxes.new_tensor([self.left_px, self.top_px] * 2)) / boxes.new_tensor(self.scale * 2) + boxes.new_tensor(
+            [self.x, self.y] * 2
+        )
 
 
 class OnnxDetector:
@@ -96,52 +50,78 @@ class OnnxDetector:
     def __init__(self, params: OnnxParams) -> None:
         """Open the file and run it once, on a picture that brightens to the right.
 
-        Raises LuxloopError as `onnx_file.open_network`, and if the output does not fit the parameters.
+        Raises LuxloopError as `onnx_file.open_network`, and if the outputs do not fit the parameters.
         """
         self.params = params
-        self.meaning = params.classes or COCO
+        self.network = open_network(params)
+        self.form = Form(self.network.picture.input_px, max(self.network.names, default=-1) + 1 or None)
+        columns, rows = self.form.input_px
+        white = params.white or (255 if self.network.picture.numbers == "uint8" else 1)
+        outputs = self._run(encode(torch.linspace(0, 1, columns).expand(rows, columns), params.gamma), white)
+        self.layout = params.layout or self._layout_of(outputs)
+        self.meaning = self._meaning(outputs, self._read(outputs)[1].shape[1])
         self.classes: tuple[Category, ...] = tuple(dict.fromkeys(self.meaning.values()))
-        self._net = open_network(params)
-        columns, rows = params.input_px
-        out = self._run(encode(torch.linspace(0, 1, columns).expand(rows, columns), params.gamma))
-        self._check_classes(out, self._read(out)[1].shape[1])
-        one = params.layout == "yolov5" and one_a_cell(out.shape[1], params.input_px) and bool((out[0, :, 4] != 1).any())
-        if params.white is None and one:
+        self.white = 255 if self.layout == "yolox" and params.white is None else white
+        if self.layout == "yolov5" and params.white is None and self._like_yolox(outputs):
             raise LuxloopError(
                 f"detector.white: {params.file} gives one box a cell, as YOLOX does, which takes pictures of 0..255; set detector.white "
                 "= 255 for YOLOX, 1 for networks that take 0..1"
             )
+        if self.layout == "detr" and params.mean is None:
+            raise LuxloopError(
+                f"detector.mean: {params.file} is of the family of DETR, which takes normalised pictures; set "
+                f"detector.{IMAGENET}, or 0 and 1 where the file does this itself"
+            )
 
     def detect(self, frames: Tensor) -> Sequence[Detections]:
-        """See `Detector`. Raises LuxloopError if the output does not fit the parameters."""
+        """See `Detector`. Raises LuxloopError if the outputs do not fit the parameters."""
         return [self._found(frame) for frame in frames]
 
     def _found(self, frame: Tensor) -> Detections:
-        params, (height, width) = self.params, frame.shape
-        columns, rows = params.input_px
-        scale = min(columns / width, rows / height)
-        size = round(width * scale), round(height * scale)
-        x, y = (columns - size[0]) // 2, (rows - size[1]) // 2
-        picture = np.full((rows, columns), GREY, np.uint8)
-        picture[y : y + size[1], x : x + size[0]] = cv2.resize(encode(frame, params.gamma), size, interpolation=cv2.INTER_AREA)
-        boxes, scores = self._read(self._run(picture))
-        scores = self._ours(scores)
-        boxes = (boxes - torch.tensor([x, y, x, y])) / scale
+        params, picture = self.params, encode(frame, self.params.gamma)
+        height, width = picture.shape
+        found = [self._in_window(picture, window) for window in self._windows(width, height)]
+        boxes, scores = (torch.cat(each) for each in zip(*found, strict=True))
         boxes = torch.minimum(boxes.clamp(min=0), torch.tensor([width, height, width, height]).float())
         return best_detections(boxes, scores, params.threshold, params.overlap, frame.device)
 
-    def _run(self, picture: np.ndarray) -> Tensor:
-        """Output of the network for a picture `[rows, columns]` uint8."""
-        blob = np.repeat(picture[None, None].astype(np.float32) * ((self.params.white or 1) / 255), self.params.channels, 1)
-        try:
-            self._net.setInput(blob)
-            out = np.asarray(self._net.forward())
-        except cv2.error as error:
-            raise LuxloopError(
-                f"detector.file: {self.params.file}: OpenCV cannot run it on {size_text(blob.shape)} numbers ({error_text(error)}); "
-                "export it for detector.input_px and detector.channels, or correct these"
-            ) from error
-        return torch.from_numpy(out.copy())
+    def _windows(self, width: int, height: int) -> Iterator[Window]:
+        """The windows of a frame of a size: itself, or tiles of its height that overlap."""
+        columns, rows = self.form.input_px
+        across = min(width, round(height * columns / rows)) if self.params.fit == "tiles" else width
+        count = 1 + math.ceil((width - across) / (across * (1 - OVERLAP)))
+        for x in np.linspace(0, width - across, count).round().astype(int).tolist():
+            scale = columns / across, rows / height
+            if self.params.fit != "stretch":
+                scale = (min(scale),) * 2
+            left, top = (columns - round(across * scale[0])) // 2, (rows - round(height * scale[1])) // 2
+            yield Window(x, 0, across, height, scale, left, top)
+
+    def _in_window(self, picture: NDArray[np.uint8], window: Window) -> tuple[Tensor, Tensor]:
+        """Boxes `[n, 4]` px of the frame and scores `[n, C]` of luxloop's classes in a window."""
+        columns, rows = self.form.input_px
+        size = round(window.width * window.scale[0]), round(window.height * window.scale[1])
+        fitted = np.full((rows, columns), GREY, np.uint8)
+        part = picture[window.y : window.y + window.height, window.x : window.x + window.width]
+        place = np.s_[window.top_px : window.top_px + size[1], window.left_px : window.left_px + size[0]]
+        fitted[place] = cv2.resize(part, size, interpolation=cv2.INTER_AREA)
+        boxes, scores = self._read(self._run(fitted, self.white))
+        cut = torch.zeros(len(boxes), dtype=torch.bool)
+        narrow = boxes[:, 2] - boxes[:, 0] < OVERLAP * window.width * window.scale[0]  # so that a neighbour shows the whole
+        if window.x > 0:
+            cut |= narrow & (boxes[:, 0] < window.left_px + EDGE_PX)
+        if window.x + window.width < picture.shape[1]:
+            cut |= narrow & (boxes[:, 2] > window.left_px + size[0] - EDGE_PX)
+        return window.into_frame(boxes[~cut]), self._ours(scores[~cut])
+
+    def _run(self, picture: NDArray[np.uint8], white: float) -> Outputs:
+        """Outputs of the network by name for a picture `[rows, columns]`."""
+        channels = self.network.picture.channels
+        mean, std = (
+            np.broadcast_to(np.float32(usual if given is None else given), channels)[:, None, None]
+            for given, usual in ((self.params.mean, 0), (self.params.std, 1))
+        )
+        return self.network.outputs(white * (picture[None].astype(np.float32) / 255 - mean) / std)
 
     def _ours(self, scores: Tensor) -> Tensor:
         """Scores `[n, C]` of luxloop's classes from scores of the network's classes."""
@@ -149,45 +129,98 @@ class OnnxDetector:
         numbers = [[number for number, each in self.meaning.items() if each == category] for category in self.classes]
         return torch.stack([scores[:, each].amax(1) for each in numbers], 1)
 
-    def _read(self, out: Tensor) -> tuple[Tensor, Tensor]:
-        """`read` for the network's layout. Raises LuxloopError that names the output and a fitting layout."""
-        layout = self.params.layout
+    def _read(self, outputs: Outputs) -> tuple[Tensor, Tensor]:
+        """`read` for the network's layout. Raises LuxloopError that names the outputs and a fitting layout."""
         try:
-            return read(out, layout, self.params.input_px)
+            return read(outputs, self.layout, self.form)
         except ValueError as found:
-            forms = "; ".join(f"{name}: {form}" for name, form in LAYOUTS.items())
-            remedy = ", or ".join(self._others(out)) or f"export it with boxes in px and scores of 0..1 ({forms})"
-            raise LuxloopError(f"detector.layout: {self._gives(out)}, which cannot be {layout}: {found}; {remedy}") from found
+            remedy = ", or ".join(self._others(outputs)) or f"export it in one of these forms ({_forms()}), {OWN}"
+            raise LuxloopError(f"detector.layout: {self._gives(outputs)}, which cannot be {self.layout}: {found}; {remedy}") from found
 
-    def _others(self, out: Tensor) -> list[str]:
-        """Remedies for other readings of the output: another layout, or a transposed yolov8."""
+    def _layout_of(self, outputs: Outputs) -> Layout:
+        """The only layout that fits. Raises LuxloopError where none does, or several do."""
+        found, nearly = fitting(outputs, self.form, self._count_fits)
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise LuxloopError(
+                f"detector.layout: {self._gives(outputs)}, which may be {' or '.join(found)}; set detector.layout to what it is"
+            )
+        if counted := fitting(outputs, self.form, lambda name, count: True)[0]:
+            return counted[0]  # its classes are refused
+        reason = "; ".join(nearly) or _forms()
+        raise LuxloopError(
+            f"detector.layout: {self._gives(outputs)}, which is none of the known forms ({reason}); export it in one, {OWN}"
+        )
 
-        def fits(out: Tensor, layout: Layout) -> bool:
-            try:
-                return self._wrong_classes(layout, read(out, layout, self.params.input_px)[1].shape[1]) is None
-            except ValueError:
-                return False
-
-        found = [f'set detector.layout = "{layout}"' for layout in LAYOUTS if layout != self.params.layout and fits(out, layout)]
-        if out.ndim == 3 and fits(turned := out.transpose(1, 2), "yolov8"):
-            found.append(f'export it as {size_text(turned.shape)} and set detector.layout = "yolov8" where its boxes have no objectness')
+    def _others(self, outputs: Outputs) -> list[str]:
+        """Remedies for other readings of the outputs: another layout, or a transposed yolov8."""
+        others = [name for name in fitting(outputs, self.form, self._count_fits)[0] if name != self.layout]
+        found = [f'set detector.layout = "{name}"' for name in others]
+        turned = {name: each.transpose(1, 2) for name, each in outputs.items() if each.ndim == 3}
+        if "yolov8" in fitting(turned, self.form, self._count_fits)[0]:
+            size = size_text(tuple(next(iter(turned.values())).shape))
+            found.append(f'export it as {size} and set detector.layout = "yolov8" where its boxes have no objectness')
         return found
 
-    def _wrong_classes(self, layout: Layout, number: int) -> str | None:
-        """Why the number of classes does not fit, or None; the shape of yolov10 does not contain the number."""
-        if layout == "yolov10":
-            return None
-        if self.params.classes is None and number != COCO_CLASSES:
-            return f"and not the {COCO_CLASSES} of COCO; set detector.classes"
-        if (largest := max(self.meaning)) >= number:
-            return f"counted from 0, so there is no {largest}; correct detector.classes"
-        return None
+    def _count_fits(self, layout: Layout, count: int) -> bool:
+        """Whether the classes of a network may be so many."""
+        if not LAYOUTS[layout].counted:
+            return True
+        if self.form.classes is not None:
+            return count == self.form.classes
+        given = self.params.classes
+        return count in COUNTS if given is None else count > (max(self._numbers(given)) if isinstance(given, dict) else 79)
 
-    def _check_classes(self, out: Tensor, number: int) -> None:
-        layout = self.params.layout
-        if wrong := self._wrong_classes(layout, number):
-            others = "".join(f", or {each}" for each in self._others(out))
-            raise LuxloopError(f"detector.classes: {self._gives(out)}, {number} classes as {layout}, {wrong}{others}")
+    def _numbers(self, given: Mapping[int | str, Category]) -> dict[int, Category]:
+        """Categories by number of classes given by number or name."""
+        known = {name: number for number, name in self.network.names.items()}
+        for name in given.keys() - known.keys():
+            if isinstance(name, str):
+                remedy = did_you_mean(name, known) if known else "the file names no classes, so give their numbers"
+                raise LuxloopError(f"detector.classes: {self.params.file} has no class {name!r}; {remedy}")
+        return {number if isinstance(number, int) else known[number]: category for number, category in given.items()}
 
-    def _gives(self, out: Tensor) -> str:
-        return f"{self.params.file} gives {size_text(out.shape)} numbers"
+    def _meaning(self, outputs: Outputs, scores: int) -> dict[int, Category]:
+        """Categories by the network's class numbers. Raises LuxloopError where they do not fit the network."""
+        given, layout, where = self.params.classes, LAYOUTS[self.layout], "detector.classes: "
+        count = scores if layout.counted else self.form.classes
+        named = f"{where}{self._gives(outputs)}, {count} classes as {self.layout}"
+        others = "".join(f", or {each}" for each in self._others(outputs))
+        if isinstance(given, dict):
+            found = self._numbers(given)
+        elif given is not None:
+            found = dict(NUMBERINGS[given])
+        elif self.network.names:
+            ours = {number: COCO_NAMES.get(name.lower()) for number, name in self.network.names.items()}
+            found = {number: category for number, category in ours.items() if category is not None}
+            if not found:
+                raise LuxloopError(
+                    f"{where}{self.params.file} has the classes {', '.join(self.network.names.values())[:200]}; set detector.classes"
+                )
+        elif self.layout == "listed":
+            raise LuxloopError(
+                f'{where}{self._gives(outputs)}, numbers without names; set detector.classes = "coco" (a person is 0) or "coco91" (1), '
+                "or a table of numbers"
+            )
+        elif count is None or count in COUNTS:
+            found = dict(NUMBERINGS[COUNTS[count or 80]])
+        else:
+            raise LuxloopError(f"{named}, and not the {' or '.join(map(str, COUNTS))} of COCO; set detector.classes{others}")
+        if count is not None and (largest := max(found)) >= count:
+            raise LuxloopError(f"{named}, counted from 0, so there is no {largest}; correct detector.classes{others}")
+        return found
+
+    def _like_yolox(self, outputs: Outputs) -> bool:
+        rows = next(each for each in outputs.values() if each.ndim == 3)[0]
+        return cells(self.form.input_px, len(rows)) is not None and bool((rows[:, 4] != 1).any())
+
+    def _gives(self, outputs: Outputs) -> str:
+        sizes = ", ".join(
+            f"{name} {size_text(tuple(each.shape))}" if len(outputs) > 1 else size_text(tuple(each.shape)) for name, each in outputs.items()
+        )
+        return f"{self.params.file} gives {sizes} numbers"
+
+
+def _forms() -> str:
+    return "; ".join(f"{name}: {family.form}" for name, family in LAYOUTS.items())

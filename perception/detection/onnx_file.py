@@ -1,11 +1,18 @@
-"""Checks of a user's ONNX file before OpenCV, which does not check it, opens it."""
+"""A user's ONNX file: checked before a library that does not check it opens it, and run by onnxruntime, or by OpenCV without it."""
 
+import ast
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
 
 from luxloop.perception.detection.detector import MOST_PX, OnnxParams
 from luxloop.world.errors import LuxloopError
@@ -14,7 +21,8 @@ from luxloop.world.files import afford
 if TYPE_CHECKING:
     import onnx
 
-BYTES_A_NUMBER = 4  # OpenCV computes in single precision
+Array = NDArray[np.generic]
+BYTES_A_NUMBER = 4  # of most networks
 FROM_1 = {
     "strides",
     "dilations",
@@ -24,23 +32,189 @@ FROM_1 = {
 }  # attributes by which OpenCV and onnx divide, which ends the process
 INTEGERS = (2, 3, 4, 5, 6, 7, 12, 13)  # of onnx.TensorProto.DataType: of 8 to 64 bits
 BYTES_A_BYTE = 4  # of a file while it is read: the bytes, onnx's copy, two in OpenCV
-FLOATS = ("float32", "float16")  # OpenCV converts to the second itself
+NUMBERS = {"float32": np.float32, "float16": np.float16, "float64": np.float64, "uint8": np.uint8}
+USUAL_PX = (640, 640)  # of a file that leaves the size open
+NAMES = "names"  # Ultralytics' metadata: a dictionary of class names by number
+LONGEST_NAMES = 100_000  # characters
 
 
-def open_network(params: OnnxParams) -> cv2.dnn.Net:
+@dataclass(frozen=True)
+class Picture:
+    """The picture that a network takes. axes: NCHW, NHWC, CHW or HWC. numbers: NumPy's name of their type."""
+
+    name: str
+    axes: str
+    numbers: str
+    channels: int
+    input_px: tuple[int, int]
+    batch: int = 1
+
+    def __str__(self) -> str:
+        width, height = self.input_px
+        sizes = {"N": self.batch, "C": self.channels, "H": height, "W": width}
+        return f"{self.numbers} {size_text(tuple(sizes[each] for each in self.axes))} ({self.axes})"
+
+    def blob(self, picture: NDArray[np.float32]) -> Array:
+        """The input for a picture `[channels, rows, columns]`; a batch repeats it."""
+        turned = np.moveaxis(picture, 0, -1) if self.axes.endswith("C") else picture
+        kind = np.dtype(NUMBERS[self.numbers])
+        cast = (turned.round() if kind.kind == "u" else turned).astype(kind)
+        return np.ascontiguousarray(np.repeat(cast[None], self.batch, 0) if self.axes[0] == "N" else cast)
+
+
+@dataclass(frozen=True)
+class Network:
+    """A network of a file. names: its classes by number, if the file names them. extra: further inputs. run: gives outputs by name."""
+
+    picture: Picture
+    names: Mapping[int, str]
+    extra: Mapping[str, Array]
+    run: Callable[[Mapping[str, Array]], Mapping[str, Array]]
+
+    def outputs(self, picture: NDArray[np.float32]) -> dict[str, Tensor]:
+        """Outputs by name for a picture `[channels, rows, columns]`; those of a batch are of the first."""
+        found = self.run({self.picture.name: self.picture.blob(picture), **self.extra})
+        of_one = {
+            name: each[:1] if self.picture.batch > 1 and each.shape[:1] == (self.picture.batch,) else each for name, each in found.items()
+        }
+        return {name: torch.from_numpy(np.array(each)) for name, each in of_one.items()}
+
+
+def open_network(params: OnnxParams) -> Network:
     """The network of a file.
 
-    Raises LuxloopError where the file is missing, damaged or unreadable for OpenCV, where it has other than one input and one output, and
-    where the input is not floating-point, 1 x channels x height x width, as in the parameters.
+    Raises LuxloopError where the file is missing, damaged or unreadable, where its first input is no picture of 1 or 3 channels, or where
+    it has inputs that luxloop cannot fill.
     """
     if not os.path.isfile(params.file):
         raise LuxloopError(f"detector.file: {params.file}: there is no such file; check the path")
-    _check(_checked_model(params.file), params)
+    model = _checked_model(params.file)
+    picture, extra = _inputs(model, params)
+    return Network(picture, _names(model), extra, _runner(model, params.file, picture))
+
+
+def _runner(model: "onnx.ModelProto", file: str, picture: Picture) -> Callable[[Mapping[str, Array]], Mapping[str, Array]]:
+    """The function from inputs to outputs, by onnxruntime where it is installed."""
+    outputs = [each.name for each in model.graph.output]
+    try:
+        import onnxruntime
+    except ImportError:
+        return _opencv(file, picture, outputs)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = torch.get_num_threads()
+    options.log_severity_level = 4
+    try:
+        session = onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # its errors have no class of their own
+        raise LuxloopError(f"detector.file: {file}: onnxruntime cannot read it ({error_text(error)}); export it again") from error
+
+    def run(given: Mapping[str, Array]) -> Mapping[str, Array]:
+        try:
+            return dict(zip(outputs, map(np.asarray, session.run(outputs, dict(given))), strict=True))
+        except Exception as error:
+            raise _cannot_run(file, "onnxruntime", picture, error) from error
+
+    return run
+
+
+def _opencv(file: str, picture: Picture, outputs: Sequence[str]) -> Callable[[Mapping[str, Array]], Mapping[str, Array]]:
+    if picture.numbers not in ("float32", "float16"):
+        raise LuxloopError(
+            f"detector.file: {file}: takes {picture}, which OpenCV cannot run; install onnxruntime: pip install 'luxloop[onnx]'"
+        )
     try:
         # the classic engine gives outputs in another order
-        return cv2.dnn.readNetFromONNX(params.file, cv2.dnn.ENGINE_NEW)
+        net = cv2.dnn.readNetFromONNX(file, cv2.dnn.ENGINE_NEW)
     except cv2.error as error:
-        raise LuxloopError(f"detector.file: {params.file}: OpenCV cannot read it ({error_text(error)}); export it again") from error
+        remedy = "install onnxruntime, which reads more files: pip install 'luxloop[onnx]'"
+        raise LuxloopError(f"detector.file: {file}: OpenCV cannot read it ({error_text(error)}); {remedy}") from error
+
+    def run(given: Mapping[str, Array]) -> Mapping[str, Array]:
+        try:
+            for name, each in given.items():
+                net.setInput(each.astype(np.float32) if each.dtype == np.float16 else each, name)
+            return dict(zip(outputs, map(np.asarray, net.forward(list(outputs))), strict=True))
+        except cv2.error as error:
+            raise _cannot_run(file, "OpenCV", picture, error) from error
+
+    return run
+
+
+def _cannot_run(file: str, library: str, picture: Picture, error: Exception) -> LuxloopError:
+    return LuxloopError(
+        f"detector.file: {file}: {library} cannot run it on {picture} ({error_text(error)}); correct detector.input_px, or export it again"
+    )
+
+
+def _names(model: "onnx.ModelProto") -> dict[int, str]:
+    """Names of classes by number from Ultralytics' metadata; empty without."""
+    texts = {each.key: each.value for each in model.metadata_props}
+    with suppress(ValueError, SyntaxError, MemoryError, RecursionError):
+        found = ast.literal_eval(texts.get(NAMES, "")[:LONGEST_NAMES])
+        named = dict(enumerate(found)) if isinstance(found, list) else found
+        if isinstance(named, dict) and all(isinstance(key, int) and isinstance(name, str) for key, name in named.items()):
+            return named
+    return {}
+
+
+def _inputs(model: "onnx.ModelProto", params: OnnxParams) -> tuple[Picture, dict[str, Array]]:
+    """The picture and the values of all other inputs; their open sizes are fixed in the model, which is refused if it takes too much."""
+    where, weights = f"detector.file: {params.file}", {tensor.name for tensor in model.graph.initializer}
+    inputs = [each for each in model.graph.input if each.name not in weights]
+    if not inputs:
+        raise LuxloopError(f"{where}: has no input; export it with one, the picture")
+    picture = _picture(inputs[0], params)
+    sizes = {"N": picture.batch, "C": picture.channels, "H": picture.input_px[1], "W": picture.input_px[0]}
+    for dimension, axis in zip(inputs[0].type.tensor_type.shape.dim, picture.axes, strict=True):
+        dimension.dim_value = sizes[axis]
+    extra = {each.name: _extra(each, picture, where) for each in inputs[1:]}
+    afford(
+        f"{where}: the numbers between two of its layers for pictures of {size_text(picture.input_px)} px",
+        BYTES_A_NUMBER * _most_numbers(model, where),
+        "export a smaller network, or one for smaller pictures",
+    )
+    return picture, extra
+
+
+def _picture(given: "onnx.ValueInfoProto", params: OnnxParams) -> Picture:
+    where, found, sizes, numbers = f"detector.file: {params.file}", _describe(given), _sizes(given), _number_type(given)
+    channels = (1, 3)
+    last = len(sizes) in (3, 4) and sizes[-1] in channels and sizes[-3] not in channels
+    axes = ("N" if len(sizes) == 4 else "") + ("HWC" if last else "CHW")
+    if numbers not in NUMBERS or len(sizes) not in (3, 4):
+        raise LuxloopError(
+            f"{where}: takes {found}; export it for one picture of {', '.join(NUMBERS)}, such as 1 x channels x height x width"
+        )
+    of = dict(zip(axes, sizes, strict=True))
+    width, height = params.input_px or tuple(
+        usual if isinstance(of[axis], str) else of[axis] for axis, usual in zip("WH", USUAL_PX, strict=True)
+    )
+    batch, depth = (usual if isinstance(size := of.get(axis, 1), str) else size for axis, usual in (("N", 1), ("C", channels[-1])))
+    if depth not in channels:
+        raise LuxloopError(f"{where}: takes pictures of {depth} channels, {found}; export it for 1 or 3")
+    if max(width, height) > MOST_PX:
+        raise LuxloopError(f"{where}: takes pictures of {width} x {height} px; export it for {MOST_PX} x {MOST_PX} px at most")
+    for size, given_size in ((of["W"], width), (of["H"], height)):
+        if size != given_size and not isinstance(size, str):
+            raise LuxloopError(f"{where}: takes {found} and not pictures of {width} x {height} px; leave detector.input_px out")
+    return Picture(given.name, axes, numbers, int(depth), (int(width), int(height)), int(batch))
+
+
+def _extra(given: "onnx.ValueInfoProto", picture: Picture, where: str) -> Array:
+    """The value of a further input: the size of the picture, or a mask of its valid pixels."""
+    import onnx
+
+    width, height = picture.input_px
+    sizes, numbers = _sizes(given), onnx.helper.tensor_dtype_to_np_dtype(given.type.tensor_type.elem_type)
+    values = {"orig_target_sizes": (width, height), "im_shape": (height, width), "scale_factor": (1, 1)}
+    if given.name in values and len(sizes) == 2:
+        return np.array([values[given.name]] * picture.batch, numbers)
+    if "mask" in given.name and len(sizes) == 3:
+        return np.ones((picture.batch, height, width), numbers)
+    raise LuxloopError(
+        f"{where}: has a further input {_describe(given)}; only {', '.join(values)} and pixel masks are known; export it with the picture "
+        "alone, or write a detector of your own"
+    )
 
 
 def error_text(error: Exception) -> str:
@@ -95,40 +269,6 @@ def _nodes(graph: "onnx.GraphProto") -> Iterator["onnx.NodeProto"]:
                 yield from _nodes(inner)
 
 
-def _check(model: "onnx.ModelProto", params: OnnxParams) -> None:
-    where, weights = f"detector.file: {params.file}", {tensor.name for tensor in model.graph.initializer}
-    inputs = [each for each in model.graph.input if each.name not in weights]
-    found = ", ".join(map(_describe, inputs))
-    if len(inputs) != 1:
-        raise LuxloopError(f"{where}: has {len(inputs)} inputs: {found}; export it with one, the picture")
-    if len(model.graph.output) != 1:
-        outputs = ", ".join(map(_describe, model.graph.output))
-        raise LuxloopError(f"{where}: has {len(model.graph.output)} outputs: {outputs}; export it with one that holds boxes and scores")
-    shape = inputs[0].type.tensor_type.shape
-    sizes = _sizes(inputs[0])
-    pictures_last = sizes[3:] in ((1,), (3,)) and sizes[1] not in (1, 3)
-    if _number_type(inputs[0]) not in FLOATS or len(sizes) != 4 or pictures_last:
-        raise LuxloopError(f"{where}: takes {found}; export it for float32 numbers of 0..1, 1 x channels x height x width (NCHW)")
-    wanted = (1, params.channels, *reversed(params.input_px))
-    batch, channels, height, width = (given if isinstance(size, str) else size for size, given in zip(sizes, wanted, strict=True))
-    if batch != 1:
-        raise LuxloopError(f"{where}: takes {batch} pictures at once, {found}; export it for a batch of 1")
-    if channels != params.channels:
-        remedy = f"set detector.channels = {channels}" if channels in (1, 3) else "export it for 1 or 3"
-        raise LuxloopError(f"{where}: takes pictures of {channels} channels and not {params.channels}, {found}; {remedy}")
-    if (width, height) != params.input_px:
-        fits = max(width, height) <= MOST_PX
-        remedy = f"set detector.input_px = [{width}, {height}]" if fits else f"export it for {MOST_PX} x {MOST_PX} px at most"
-        raise LuxloopError(f"{where}: takes pictures of {width} x {height} px and not {size_text(params.input_px)}; {remedy}")
-    for dimension, size in zip(shape.dim, wanted, strict=True):
-        dimension.dim_value = size
-    afford(
-        f"{where}: the numbers between two of its layers for pictures of {size_text(params.input_px)} px",
-        BYTES_A_NUMBER * _most_numbers(model, where),
-        "export a smaller network, or one for smaller pictures",
-    )
-
-
 def _most_numbers(model: "onnx.ModelProto", where: str) -> int:
     """Largest number of values in a layer's output, as far as shapes follow from the input; open sizes count as 0."""
     from onnx.shape_inference import InferenceError, infer_shapes
@@ -156,4 +296,4 @@ def _number_type(value: "onnx.ValueInfoProto") -> str:
 
     names: dict[int, str] = {number: name.lower() for name, number in onnx.TensorProto.DataType.items()}
     kind = value.type.tensor_type.elem_type
-    return {"float": "float32"}.get(name := names.get(kind, f"type {kind}"), name)
+    return {"float": "float32", "double": "float64"}.get(name := names.get(kind, f"type {kind}"), name)

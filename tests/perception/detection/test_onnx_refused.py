@@ -20,14 +20,14 @@ SIZE = 64  # px, of which a stride of 8 makes 64 boxes
 class Tiny(nn.Module):
     """A convolution that gives what a YOLO gives: `[B, numbers, boxes]`, boxes of up to 64 px first."""
 
-    def __init__(self, numbers: int, px: float = SIZE, logits: bool = False, channels: int = 3) -> None:
+    def __init__(self, numbers: int, logits: bool = False, channels: int = 3) -> None:
         super().__init__()
         self.patches = nn.Conv2d(channels, numbers, 8, 8)
-        self.px, self.logits = px, logits
+        self.logits = logits
 
     def forward(self, pictures: Tensor) -> Tensor:
         raw = self.patches(pictures).flatten(2)
-        boxes, scores = raw[:, :4].sigmoid() * self.px, raw[:, 4:]
+        boxes, scores = raw[:, :4].sigmoid() * SIZE, raw[:, 4:]
         return torch.cat([boxes, scores if self.logits else scores.sigmoid()], 1)
 
 
@@ -48,16 +48,6 @@ class Grid(Tiny):
         return self.patches(pictures)
 
 
-class ChannelsLast(Tiny):
-    def forward(self, pictures: Tensor) -> Tensor:
-        return super().forward(pictures.permute(0, 3, 1, 2).float() / 255)
-
-
-class Bytes(Tiny):
-    def forward(self, pictures: Tensor) -> Tensor:
-        return super().forward(pictures.float() / 255)
-
-
 class TwoInputs(Tiny):
     def forward(self, pictures: Tensor, scale: Tensor) -> Tensor:
         return super().forward(pictures) * scale
@@ -76,32 +66,25 @@ def wrong(module: nn.Module, words: str, *inputs: Tensor, **params: Any) -> tupl
     return module, words, inputs or (PICTURE,), params
 
 
-LAST = torch.zeros(1, SIZE, SIZE, 3)
 ONE = {0: "pedestrian"}
 REFUSED = {
     "yolov8 as yolov5": wrong(Tiny(84), r'layout: .*1 x 84 x 64 .* not within 0..1; set detector.layout = "yolov8"$', layout="yolov5"),
-    "yolov5 as yolov8": wrong(YoloV5(85), r'layout: .* scores .*; set detector.layout = "yolov5"$'),
-    "yolov8 turned, as yolov5, of COCO": wrong(YoloV5(84), r"classes: .* 79 classes .* 80 of COCO; .* export it", layout="yolov5"),
+    "yolov5 as yolov8": wrong(YoloV5(85), r'layout: .* scores .*; set detector.layout = "yolov5"$', layout="yolov8"),
+    "yolov8 turned, as yolov5, of COCO": wrong(YoloV5(84), r"classes: .* 79 classes .* 80 or 91 of COCO; .* export it", layout="yolov5"),
     "yolov8 turned, as yolov5, all classes": wrong(YoloV5(6), "classes: .* there is no 1; .* 1 x 6 x 64", layout="yolov5", classes=OURS),
-    "yolov8 turned, as yolov8": wrong(YoloV5(7), 'layout: .* scores .*"yolov5", or export it as 1 x 7 x 64', classes=OURS),
+    "yolov8 turned, as yolov8": wrong(YoloV5(7), 'layout: .* scores .*"yolov5", or export it as 1 x 7 x 64', layout="yolov8", classes=OURS),
     "yolov8 as yolov10": wrong(Tiny(84), r'layout: .* each box has 64 numbers; .* "yolov8"$', layout="yolov10"),
-    "yolov10 as yolov8": wrong(YoloV10(6), r'layout: .* scores .*; set detector.layout = "yolov10"$'),
+    "yolov10 as yolov8": wrong(YoloV10(6), r'layout: .* scores .*; set detector.layout = "yolov10"$', layout="yolov8"),
     "yolov10 as yolov5": wrong(YoloV10(6), r'layout: .* the sixth number .*"yolov10"$', layout="yolov5", classes=ONE),
     "yolov5 of one class as yolov10": wrong(YoloV5(6), 'layout: .* no.* class number; .* "yolov5"', layout="yolov10", classes=ONE),
-    "before the sigmoid": wrong(Tiny(84, logits=True), "layout: .*: scores reach from -.*; export it"),
-    "boxes as shares": wrong(Tiny(84, px=1.0), "layout: .* shares of the picture and not px; export it"),
-    "before the boxes are made": wrong(Grid(255), r"layout: .* 1 x 255 x 8 x 8 numbers, .* three dimensions.*; export it"),
-    "own classes": wrong(Tiny(6), "classes: .* 2 classes as yolov8, and not the 80 of COCO; set detector.classes$"),
+    "before the sigmoid": wrong(Tiny(84, logits=True), "layout: .*yolov8: scores reach from -.*; export it"),
+    "before the boxes are made": wrong(Grid(255), r"layout: .* 1 x 255 x 8 x 8 numbers, .* known forms .*; export it"),
+    "own classes": wrong(Tiny(6), "classes: .* 2 classes as yolov8, and not the 80 or 91 of COCO; set detector.classes$"),
     "classes that it lacks": wrong(Tiny(6), "classes: .* 2 classes .* there is no 2; correct detector.classes$", classes={2: "car"}),
-    "channels last": wrong(ChannelsLast(84), r"file: .*float32 1 x 64 x 64 x 3.*; export it .* \(NCHW\)$", LAST),
-    "bytes, channels last": wrong(ChannelsLast(84), "file: .*uint8 1 x 64 x 64 x 3.*; export it for float32", LAST.byte()),
-    "bytes": wrong(Bytes(84), "file: .*uint8 1 x 3 x 64 x 64.*; export it for float32", PICTURE.byte()),
-    "two inputs": wrong(TwoInputs(84), "file: .* has 2 inputs: .*; export it with one", PICTURE, torch.ones(1)),
-    "two outputs": wrong(TwoOutputs(84), "file: .* has 2 outputs: .*; export it with one"),
-    "batch of 4": wrong(Tiny(84), "file: .* takes 4 pictures at once.*; export it for a batch of 1$", PICTURE.repeat(4, 1, 1, 1)),
-    "grey": wrong(Tiny(84, channels=1), "file: .* 1 channels and not 3.*; set detector.channels = 1$", PICTURE[:, :1]),
-    "four channels": wrong(Tiny(84, channels=4), "file: .* 4 channels .*; export it for 1 or 3$", PICTURE[:, [0, 1, 2, 0]]),
-    "another size": wrong(Tiny(84), r"file: .* 96 x 32 px .*; set detector.input_px = \[96, 32\]$", torch.zeros(1, 3, 32, 96)),
+    "two inputs": wrong(TwoInputs(84), "file: .* has a further input .*; export it with the picture alone", PICTURE, torch.ones(1)),
+    "two outputs": wrong(TwoOutputs(84), "layout: .* 1 x 4 x 64, .* 1 x 80 x 64 numbers, .* known forms"),
+    "four channels": wrong(Tiny(84, channels=4), "file: .* 4 channels, .*; export it for 1 or 3$", PICTURE[:, [0, 1, 2, 0]]),
+    "another size": wrong(Tiny(84), r"file: .* 1 x 3 x 32 x 96.*; leave detector.input_px out$", torch.zeros(1, 3, 32, 96)),
 }
 
 

@@ -63,7 +63,7 @@ def test_our_own_network_exported_finds_what_it_finds_here(lit, tmp_path):
     assert isinstance(ours, NetworkDetector)
     file = export(AsYolo(ours.network), (1, 360, 640), tmp_path / "ours.onnx")
     theirs = detector(
-        OnnxParams(file=str(file), gamma=1 / CODE, input_px=(640, 360), channels=1, threshold=0.3, classes=dict(enumerate(ours.classes))),
+        OnnxParams(file=str(file), gamma=1 / CODE, input_px=(640, 360), threshold=0.3, classes=dict(enumerate(ours.classes))),
         CPU,
     )
     frame = lit.frame(10.0)
