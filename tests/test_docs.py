@@ -42,6 +42,7 @@ EXEMPT = {
     r"python train_ppo\.py\b": "takes minutes, and has a test of its own",
     r"python game_engine\.py\b|luxloop run (.*plant\.kind=remote|runs/engine)\b": "needs two programs at once, and has a test of its own",
     r"luxloop rig (calibrate|digitise|fit)\b": "takes minutes, and has tests of its own",
+    r"luxloop detect\b": "needs a network of the reader, and has tests of its own",
     r"luxloop rig simulate\b": "serves until it is ended, and has tests of its own",
     r"luxloop (rig (check|blink|take|light)|run .*--rig)\b": "needs a rig; tests/loop/rig/test_page.py has one",
     r"luxloop studio\b": "serves until it is ended, and has tests in a browser",

@@ -34,7 +34,7 @@ from luxloop.loop.commands.options import (
     scenario_of,
 )
 from luxloop.loop.commands.rig import rig_app
-from luxloop.loop.commands.studies import campaign, dataset, evaluate, optimise_beam, train_detector, tune
+from luxloop.loop.commands.studies import campaign, dataset, detect, evaluate, optimise_beam, train_detector, tune
 from luxloop.loop.commands.studio import studio
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.scenario.shipped import TEMPLATE, copy_text, examples, original
@@ -56,7 +56,7 @@ app = App(
 app.command(list_, name="list")
 for command in (studio, schema, doctor, data_app, headlight_app, export_app, rig_app):
     app.command(command)
-for study in (evaluate, campaign, dataset, tune, optimise_beam, train_detector):
+for study in (evaluate, campaign, dataset, tune, optimise_beam, train_detector, detect):
     app.command(study)
 app.register_install_completion_command(INSTALL, help="Install shell completion for bash, zsh or fish.")
 

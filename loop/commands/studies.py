@@ -1,4 +1,4 @@
-"""The commands with many runs: evaluate, campaign, dataset, tune, optimise-beam, train-detector."""
+"""The commands with many runs or of detectors: evaluate, campaign, dataset, tune, optimise-beam, train-detector, detect."""
 
 import shlex
 from pathlib import Path
@@ -242,3 +242,22 @@ def train_detector(
     from luxloop.loop.studies.training.train import train_detector
 
     train_detector(out, scenes, held_out, epochs, seed, jobs)
+
+
+def detect(file: Path, /, *pictures: Path, set: Keys = None, out: Path = Path("runs/detect")) -> None:
+    """Show what the network of an ONNX file finds in pictures, and what luxloop takes its outputs for.
+
+    Parameters
+    ----------
+    file
+        ONNX file (see docs/detectors.md).
+    pictures
+        PNG or JPEG files.
+    set
+        Keys of the detector, such as detector.layout=yolov8, as key=value in TOML syntax, or a TOML file of them.
+    out
+        Folder for the pictures with boxes.
+    """
+    from luxloop.loop.report.detections import draw_detections
+
+    tables.say(draw_detections(file, pictures, set or [], out))

@@ -185,13 +185,8 @@ def frame_picture(result: Evaluation, simulation: Simulation, white: Tensor) -> 
     """
     picture = tone_map(camera_luminance(result, simulation), white)
     height, width = picture.shape[:2]
-    line, margin = max(height / 28, 9.0), max(height // 60, 1)
-    for mark in readable(marks(result, simulation), CHARACTER * line, width):
-        colour = MARKS_RGB[mark.kind]
-        for a, b in mark.lines:
-            cv2.line(picture, a, b, colour, 1, cv2.LINE_AA)
-        at = (mark.at[0], mark.at[1] - 3)
-        cv2.putText(picture, mark.text, at, cv2.FONT_HERSHEY_SIMPLEX, line / 38, colour, 1, cv2.LINE_AA)
+    line, margin = line_px(height), max(height // 60, 1)
+    draw_marks(picture, marks(result, simulation))
     for held in result.held.values():
         _outline(picture, held.measurement)
     for name in list(result.held)[:1]:
@@ -206,6 +201,22 @@ def frame_picture(result: Evaluation, simulation: Simulation, white: Tensor) -> 
         for wide, shade in ((3, (0, 0, 0)), (1, colour)):  # outlined, as it may lie on lit road
             cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, line / 38, shade, wide, cv2.LINE_AA)
     return picture
+
+
+def line_px(height: int) -> float:
+    """Height in px of a line of text in a picture of a height."""
+    return max(height / 28, 9.0)
+
+
+def draw_marks(picture: Picture, marked: Iterable[Mark]) -> None:
+    """Draw marks with legible texts into a picture `[H, W, 3]`."""
+    line = line_px(len(picture))
+    for mark in readable(marked, CHARACTER * line, picture.shape[1]):
+        colour = MARKS_RGB[mark.kind]
+        for a, b in mark.lines:
+            cv2.line(picture, a, b, colour, 1, cv2.LINE_AA)
+        at = (mark.at[0], mark.at[1] - 3)
+        cv2.putText(picture, mark.text, at, cv2.FONT_HERSHEY_SIMPLEX, line / 38, colour, 1, cv2.LINE_AA)
 
 
 def _outline(picture: Picture, seen: Measurement) -> None:

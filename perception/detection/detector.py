@@ -95,12 +95,24 @@ COCO_NAMES: dict[str, Category] = {
     "truck": "truck",
     **dict.fromkeys((*ANIMALS, "animal"), "animal"),
 }
-COCO: dict[int, Category] = {0: "pedestrian", 1: "cyclist", 2: "car", 3: "motorcycle", 5: "truck", 7: "truck"} | dict.fromkeys(
-    range(14, 24), "animal"
-)  # by the numbers of 80 classes
-COCO91: dict[int, Category] = {1: "pedestrian", 2: "cyclist", 3: "car", 4: "motorcycle", 6: "truck", 8: "truck"} | dict.fromkeys(
-    range(16, 26), "animal"
-)  # by COCO's own numbers, which leave gaps
+COCO: dict[int, Category] = {
+    0: "pedestrian",
+    1: "cyclist",
+    2: "car",
+    3: "motorcycle",
+    5: "truck",
+    7: "truck",
+    **dict.fromkeys(range(14, 24), "animal"),
+}  # by the numbers of 80 classes
+COCO91: dict[int, Category] = {
+    1: "pedestrian",
+    2: "cyclist",
+    3: "car",
+    4: "motorcycle",
+    6: "truck",
+    8: "truck",
+    **dict.fromkeys(range(16, 26), "animal"),
+}  # by COCO's own numbers, which leave gaps
 MOST_PX = 8192
 Side = Annotated[int, Field(ge=1, le=MOST_PX)]  # px
 ClassName = Annotated[Annotated[int, Field(ge=0, lt=1_000_000)] | str, Field(union_mode="left_to_right")]
@@ -153,9 +165,7 @@ class OnnxParams(CodedParams):
         description="fits frames in: whole with a grey border, stretched, or in tiles of their height that overlap",
     )
     white: Literal[1, 255] | None = Field(None, description="number of white in its input; left out: 255 for bytes and yolox, else 1")
-    mean: Colour | None = Field(
-        None, description="mean subtracted from its input, as shares of white; left out: 0"
-    )
+    mean: Colour | None = Field(None, description="mean subtracted from its input, as shares of white; left out: 0")
     std: Colour | None = Field(None, description="deviation by which that is divided, as shares of white; left out: 1")
     classes: Literal["coco", "coco91"] | dict[ClassName, Category] | None = Field(
         None,

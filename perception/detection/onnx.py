@@ -73,6 +73,10 @@ class OnnxDetector:
                 f"detector.{IMAGENET}, or 0 and 1 where the file does this itself"
             )
 
+    def __str__(self) -> str:
+        network, classes = self.network, ", ".join(f"{number}: {name}" for number, name in self.meaning.items())
+        return f"layout {self.layout}, takes {network.picture} of 0..{self.white:g}, run by {network.library}; classes {classes}"
+
     def detect(self, frames: Tensor) -> Sequence[Detections]:
         """See `Detector`. Raises LuxloopError if the outputs do not fit the parameters."""
         return [self._found(frame) for frame in frames]
@@ -118,10 +122,10 @@ class OnnxDetector:
         """Outputs of the network by name for a picture `[rows, columns]`."""
         channels = self.network.picture.channels
         mean, std = (
-            np.broadcast_to(np.float32(usual if given is None else given), channels)[:, None, None]
+            np.broadcast_to(np.asarray(usual if given is None else given, np.float32), channels)[:, None, None]
             for given, usual in ((self.params.mean, 0), (self.params.std, 1))
         )
-        return self.network.outputs(white * (picture[None].astype(np.float32) / 255 - mean) / std)
+        return self.network.outputs((white * (picture[None] / 255 - mean) / std).astype(np.float32))
 
     def _ours(self, scores: Tensor) -> Tensor:
         """Scores `[n, C]` of luxloop's classes from scores of the network's classes."""
@@ -149,9 +153,7 @@ class OnnxDetector:
         if counted := fitting(outputs, self.form, lambda name, count: True)[0]:
             return counted[0]  # its classes are refused
         reason = "; ".join(nearly) or _forms()
-        raise LuxloopError(
-            f"detector.layout: {self._gives(outputs)}, which is none of the known forms ({reason}); export it in one, {OWN}"
-        )
+        raise LuxloopError(f"detector.layout: {self._gives(outputs)}, which is none of the known forms ({reason}); export it in one, {OWN}")
 
     def _others(self, outputs: Outputs) -> list[str]:
         """Remedies for other readings of the outputs: another layout, or a transposed yolov8."""

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -21,7 +21,9 @@ from luxloop.world.files import afford
 if TYPE_CHECKING:
     import onnx
 
-Array = NDArray[np.generic]
+Array = NDArray[Any]
+Run = Callable[[Mapping[str, Array]], Mapping[str, Array]]
+ONNXRUNTIME, OPENCV = "onnxruntime", "OpenCV"
 BYTES_A_NUMBER = 4  # of most networks
 FROM_1 = {
     "strides",
@@ -58,26 +60,29 @@ class Picture:
         """The input for a picture `[channels, rows, columns]`; a batch repeats it."""
         turned = np.moveaxis(picture, 0, -1) if self.axes.endswith("C") else picture
         kind = np.dtype(NUMBERS[self.numbers])
-        cast = (turned.round() if kind.kind == "u" else turned).astype(kind)
+        cast = (turned.round().clip(0, 255) if kind.kind == "u" else turned).astype(kind)
         return np.ascontiguousarray(np.repeat(cast[None], self.batch, 0) if self.axes[0] == "N" else cast)
 
 
 @dataclass(frozen=True)
 class Network:
-    """A network of a file. names: its classes by number, if the file names them. extra: further inputs. run: gives outputs by name."""
+    """A network of a file. names: its classes by number, if the file names them. extra: further inputs.
+
+    run: gives outputs by name for inputs by name, by the library.
+    """
 
     picture: Picture
     names: Mapping[int, str]
     extra: Mapping[str, Array]
-    run: Callable[[Mapping[str, Array]], Mapping[str, Array]]
+    library: str
+    run: Run
 
     def outputs(self, picture: NDArray[np.float32]) -> dict[str, Tensor]:
         """Outputs by name for a picture `[channels, rows, columns]`; those of a batch are of the first."""
         found = self.run({self.picture.name: self.picture.blob(picture), **self.extra})
-        of_one = {
-            name: each[:1] if self.picture.batch > 1 and each.shape[:1] == (self.picture.batch,) else each for name, each in found.items()
-        }
-        return {name: torch.from_numpy(np.array(each)) for name, each in of_one.items()}
+        batch = self.picture.batch
+        of_first = {name: each[:1] if batch > 1 and each.shape[:1] == (batch,) else each for name, each in found.items()}
+        return {name: torch.from_numpy(np.array(each)) for name, each in of_first.items()}
 
 
 def open_network(params: OnnxParams) -> Network:
@@ -90,16 +95,16 @@ def open_network(params: OnnxParams) -> Network:
         raise LuxloopError(f"detector.file: {params.file}: there is no such file; check the path")
     model = _checked_model(params.file)
     picture, extra = _inputs(model, params)
-    return Network(picture, _names(model), extra, _runner(model, params.file, picture))
+    return Network(picture, _names(model), extra, *_runner(model, params.file, picture))
 
 
-def _runner(model: "onnx.ModelProto", file: str, picture: Picture) -> Callable[[Mapping[str, Array]], Mapping[str, Array]]:
-    """The function from inputs to outputs, by onnxruntime where it is installed."""
+def _runner(model: "onnx.ModelProto", file: str, picture: Picture) -> tuple[str, Run]:
+    """Library and function from inputs to outputs; onnxruntime where it is installed."""
     outputs = [each.name for each in model.graph.output]
     try:
         import onnxruntime
     except ImportError:
-        return _opencv(file, picture, outputs)
+        return OPENCV, _opencv(file, picture, outputs)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = torch.get_num_threads()
     options.log_severity_level = 4
@@ -112,12 +117,12 @@ def _runner(model: "onnx.ModelProto", file: str, picture: Picture) -> Callable[[
         try:
             return dict(zip(outputs, map(np.asarray, session.run(outputs, dict(given))), strict=True))
         except Exception as error:
-            raise _cannot_run(file, "onnxruntime", picture, error) from error
+            raise _cannot_run(file, ONNXRUNTIME, picture, error) from error
 
-    return run
+    return ONNXRUNTIME, run
 
 
-def _opencv(file: str, picture: Picture, outputs: Sequence[str]) -> Callable[[Mapping[str, Array]], Mapping[str, Array]]:
+def _opencv(file: str, picture: Picture, outputs: Sequence[str]) -> Run:
     if picture.numbers not in ("float32", "float16"):
         raise LuxloopError(
             f"detector.file: {file}: takes {picture}, which OpenCV cannot run; install onnxruntime: pip install 'luxloop[onnx]'"
@@ -135,7 +140,7 @@ def _opencv(file: str, picture: Picture, outputs: Sequence[str]) -> Callable[[Ma
                 net.setInput(each.astype(np.float32) if each.dtype == np.float16 else each, name)
             return dict(zip(outputs, map(np.asarray, net.forward(list(outputs))), strict=True))
         except cv2.error as error:
-            raise _cannot_run(file, "OpenCV", picture, error) from error
+            raise _cannot_run(file, OPENCV, picture, error) from error
 
     return run
 
@@ -186,10 +191,9 @@ def _picture(given: "onnx.ValueInfoProto", params: OnnxParams) -> Picture:
             f"{where}: takes {found}; export it for one picture of {', '.join(NUMBERS)}, such as 1 x channels x height x width"
         )
     of = dict(zip(axes, sizes, strict=True))
-    width, height = params.input_px or tuple(
-        usual if isinstance(of[axis], str) else of[axis] for axis, usual in zip("WH", USUAL_PX, strict=True)
-    )
-    batch, depth = (usual if isinstance(size := of.get(axis, 1), str) else size for axis, usual in (("N", 1), ("C", channels[-1])))
+    usual = params.input_px or USUAL_PX
+    width, height = (_or(of[axis], px) if params.input_px is None else px for axis, px in zip("WH", usual, strict=True))
+    batch, depth = _or(of.get("N", 1), 1), _or(of["C"], channels[-1])
     if depth not in channels:
         raise LuxloopError(f"{where}: takes pictures of {depth} channels, {found}; export it for 1 or 3")
     if max(width, height) > MOST_PX:
@@ -197,7 +201,12 @@ def _picture(given: "onnx.ValueInfoProto", params: OnnxParams) -> Picture:
     for size, given_size in ((of["W"], width), (of["H"], height)):
         if size != given_size and not isinstance(size, str):
             raise LuxloopError(f"{where}: takes {found} and not pictures of {width} x {height} px; leave detector.input_px out")
-    return Picture(given.name, axes, numbers, int(depth), (int(width), int(height)), int(batch))
+    return Picture(given.name, axes, numbers, depth, (width, height), batch)
+
+
+def _or(size: int | str, usual: int) -> int:
+    """A size, or the usual one if it is open."""
+    return usual if isinstance(size, str) else size
 
 
 def _extra(given: "onnx.ValueInfoProto", picture: Picture, where: str) -> Array:

@@ -234,7 +234,8 @@ def _pair(outputs: Outputs) -> Reading:
     others = [name for name, each in rows.items() if box is not None and name != box and each.shape[:-1] == rows[box].shape[:-1]]
     if box is None or len(others) != 1:
         raise ValueError("there must be two outputs of a row a box, one of them of four numbers")
-    return tuple(each.reshape(-1, each.shape[-1]).float() for each in (rows[box], rows[others[0]]))
+    found, rest = (each.reshape(-1, each.shape[-1]).float() for each in (rows[box], rows[others[0]]))
+    return found, rest
 
 
 def _not_px(boxes: Tensor) -> Tensor:
