@@ -155,7 +155,7 @@ def load(name: Name, key: str, methods: Sequence[str]) -> Any:
         except ModuleNotFoundError as error:
             if error.name is None or not f"{name.module}.".startswith(f"{error.name}."):
                 raise
-            remedy = "put it beside the scenario, run where Python finds it, or set PYTHONPATH to its folder"
+            remedy = "put it beside the file that names it, run where Python finds it, or set PYTHONPATH to its folder"
             raise LuxloopError(f"{where}: {error}; {remedy}") from error
     file = None if name.folder is None else file_of(name.folder, name.module)
     if file is not None and file.resolve() != Path(str(module.__file__)).resolve():

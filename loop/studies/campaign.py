@@ -25,7 +25,8 @@ from luxloop.loop.studies.jobs import ALL_CORES, Executor, Job, Results, run
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import output_folder
 from luxloop.world.params import Params, Seed
-from luxloop.world.plugin import refuse_code
+from luxloop.world.plugin import load as load_class
+from luxloop.world.plugin import own_names, refuse_code
 from luxloop.world.validation import read_toml, validate_model
 
 if TYPE_CHECKING:
@@ -150,9 +151,12 @@ def run_campaign(file: Path, out: Path, *, device: str = "cpu", executor: Execut
     """Run what `out` does not hold yet, and write the table of all runs: rows in the order of the file, each with identity, metrics, and
     `error`, empty on success; with `trajectories` also the table of their steps.
 
-    Raises as `read`, `luxloop.loop.studies.jobs.run` and `luxloop.world.files.output_folder`.
+    Raises as `read`, `luxloop.world.plugin.load`, `luxloop.loop.studies.jobs.run` and `luxloop.world.files.output_folder`.
     """
     runs = read(file, allow_code=allow_code)
+    with locate(str(file)):
+        for key, name in dict.fromkeys(found for each in runs for found in own_names(each.scenario)):
+            load_class(name, key, ())
     jobs = [
         Job(
             each.key,

@@ -114,6 +114,15 @@ def test_controllers_of_ones_own_are_found_beside_the_campaign(tmp_path):
     assert run.scenario.symbol.controller is not None and run.scenario.symbol.controller.name == f"{tmp_path}/beside_it:Law"
 
 
+@pytest.mark.parametrize(("name", "said"), [("absent_law:Law", "No module named 'absent_law'"), ("law_here:Low", "did you mean 'Law'")])
+def test_a_controller_that_is_not_there_is_refused_before_the_first_run(name, said, tmp_path):
+    (tmp_path / "law_here.py").write_text("class Law: ...\n")
+    file = written(tmp_path, f'scenarios = ["flat"]\ncontrollers = ["thesis_pid", "{name}"]\n')
+    with refusal(rf"night\.toml: functions\.symbol\.controller\.name: .*{said}"):
+        run_campaign(file, tmp_path / "out", executor=local(1), allow_code=True)
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_example_is_what_the_docs_show():
     example = ROOT / "scenarios" / "examples" / "night.toml"
     assert len(read(example)) == 17
