@@ -54,8 +54,10 @@ def grid_mesh(x: Floats, y: Floats, z: Floats, normals: Floats | None = None) ->
     import trimesh  # takes a seventh of a command's start, and only views need it
 
     vertices, faces = np.stack([x, y, z], axis=-1).reshape(-1, 3), _grid_faces(*x.shape)
-    if normals is None:  # of another mesh, whose intermediate results, 300 bytes a vertex, end with it
-        normals = trimesh.Trimesh(vertices, faces, process=False).vertex_normals
+    if normals is None:  # not by a Trimesh, a reference cycle whose 400 bytes a vertex of intermediate results outlive it
+        corners = vertices[faces]
+        of_faces, _ = trimesh.triangles.normals(corners)
+        normals = trimesh.geometry.weighted_vertex_normals(len(vertices), faces, of_faces, trimesh.triangles.angles(corners))
     else:
         normals = (normals / np.linalg.norm(normals, axis=-1, keepdims=True)).reshape(-1, 3)
     return trimesh.Trimesh(vertices, faces, vertex_normals=normals, process=False)

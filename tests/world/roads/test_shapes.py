@@ -1,5 +1,7 @@
 """Every road kind: finite, level under the vehicle, as described around the symbol; its mesh lies on it."""
 
+import gc
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +56,20 @@ def test_mesh_lies_on_the_road_with_normals_up(road):
     np.testing.assert_array_equal(mesh.vertices[:, 2], road.z(mesh.vertices[:, 0], mesh.vertices[:, 1]))
     assert (mesh.face_normals[:, 2] > 0).all()
     assert_allclose(mesh.bounds[:, :2], np.stack([SCENE_X_M, SCENE_Y_M], axis=1))
+
+
+def test_a_mesh_leaves_no_memory_behind():
+    road_mesh(Mixed())  # imports and caches
+    gc.disable()  # as good as between the rare collections of old objects
+    tracemalloc.start()
+    try:
+        mesh = road_mesh(Mixed())
+        size = tracemalloc.get_traced_memory()[0]
+    finally:
+        tracemalloc.stop()
+        gc.enable()
+    held = mesh.vertices.nbytes + mesh.faces.nbytes + mesh.vertex_normals.nbytes
+    assert size < 1.5 * held  # the least of the intermediate results, normals of faces, is 0.5
 
 
 def test_heights_are_what_the_keys_say():
