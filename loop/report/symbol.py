@@ -85,8 +85,10 @@ def _title(simulation: Simulation, name: str, summary: Summary, shadow: str | No
     settled = f"settled at step {summary['settle_step']}" if unsettled is None else f"not settled: {unsettled.replace('_', ' ')}"
     x, y = (number(value, ".1f") for value in summary["centroid_error_percent"])
     mean, mean_open, ended, ended_open = (number(summary[key], ".2f") for key in ("iou_mean", "iou_open_mean", "iou_final", "iou_open"))
-    last = f"{ended} at the end, {ended_open} without control"
-    iou = f"mean IoU {mean}, {last if summary['iou_open_mean'] is None else f'{mean_open} without control'}"
+    if summary["iou_open_mean"] is None:
+        iou = f"IoU {ended} at the end, {ended_open} without control"
+    else:
+        iou = f"mean IoU {mean}, {mean_open} without control"
     return who, settled, iou, f"centroid error {x} %, {y} %", lost
 
 

@@ -54,12 +54,15 @@ def symbol_columns(degrees: Sequence[DegreeOfFreedom]) -> dict[str, tuple[str, s
 
 SYMBOL = symbol_columns(DEGREES)
 
+MOTION = ("centroid_motion_x_percent", "centroid_motion_y_percent")
+
 # with judge_causes
 CAUSES = {
     "iou_open": ("1", "evaluator: IoU of the symbol in open loop"),
     "iou_true_pose": ("1", "evaluator: IoU of the symbol drawn for the body's true pose; empty if the controller has no height map"),
     "iou_true_road": ("1", "evaluator: IoU of the symbol drawn for the true road; empty if the controller has no height map"),
     "iou_true": ("1", "evaluator: IoU of the symbol drawn for the true road from the true pose, the best that the lamp can show"),
+    **dict.fromkeys(MOTION, ("%", "evaluator: centroid error less that of the symbol drawn for the body's true pose")),
 }
 
 PROJECTION = {

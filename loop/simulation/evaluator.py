@@ -21,6 +21,7 @@ from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.scenario.model import Scenario, only
 from luxloop.loop.simulation.causes import projections_by_cause
+from luxloop.loop.simulation.columns import MOTION
 from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.detection import DetectionPipeline, Recognition, false_positives, name_of, recognise
 from luxloop.loop.simulation.lamps import LampDriver, attitude
@@ -60,8 +61,8 @@ class SymbolStep:
     """A closed-loop symbol in one step. projection: the projection shown. cut: `[4]`, shares beyond the borders of the lamps' field
     (`luxloop.controllers.symbol.sensing.field`). measurement: from the newest frames. metrics: None in a step without evaluation.
     road_true_m, road_believed_m: `[]`, mean height of the road, and of the controller's height map, in the target's area, above the plane
-    of the ground; NaN if unknown or without evaluation. causes: IoU `[]` of the symbol drawn otherwise, by column of `CAUSES`; none without
-    evaluation or `judge_causes`.
+    of the ground; NaN if unknown or without evaluation. causes: `[]` each, by column of `luxloop.loop.simulation.columns.CAUSES`; none
+    without evaluation or `judge_causes`.
     """
 
     projection: ProjectionCommand
@@ -352,16 +353,20 @@ class Evaluator:
         evaluator, world, belief = symbol.evaluator, self.world, symbol.belief(result.planning.symbols[name], result.sense.ego)
         assert evaluator is not None and world is not None
         off = result.exposures[-1].lights if len(measured) == 1 else self._lights_without(result, name)
-        plane, causes = evaluator.plane_at(now.time_s), {}
+        plane, causes = evaluator.plane_at(now.time_s), dict[str, Tensor]()
 
         def metrics(lights: Lights) -> Metrics:
             return evaluate(world.added(now.time_s, lights, off, now.commands), plane, evaluator.goal)
 
+        shown = metrics(result.exposures[0].lights)
         if self.scenario.judge_causes:
-            drawn = projections_by_cause(symbol, belief, world.motion.at(now.time_s), evaluator.road)
-            causes = {key: metrics(self.redraw(result, name, each)).iou for key, each in drawn.items()}
+            projections = projections_by_cause(symbol, belief, world.motion.at(now.time_s), evaluator.road)
+            drawn = {key: metrics(self.redraw(result, name, each)) for key, each in projections.items()}
+            causes = {key: each.iou for key, each in drawn.items()}
+            if (true_pose := drawn.get("iou_true_pose")) is not None:
+                causes |= zip(MOTION, shown.centroid_percent - true_pose.centroid_percent, strict=True)
         return {
-            "metrics": metrics(result.exposures[0].lights),
+            "metrics": shown,
             "road_true_m": evaluator.heights(now.time_s).mean(),
             "road_believed_m": UNKNOWN if belief is None else belief.heights(*evaluator.area[:2].to(world.device).float()).mean(),
             "causes": causes,

@@ -8,6 +8,7 @@ from luxloop import load
 from luxloop.loop.recording.manifest import table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.recording.summary import column
+from luxloop.loop.simulation.columns import MOTION
 from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import simulation_of
 
@@ -33,6 +34,7 @@ def test_a_controller_that_knows_the_true_road_gains_nothing_by_it():
     assert abs(true_m) > 0.005 and believed_m == pytest.approx(true_m, abs=1e-3)  # heights are known every 0.1 m on the plane
     iou, iou_open, *others = of_symbol(table, "iou", *CAUSES)
     assert np.array_equal(others, [iou] * 3) and iou > iou_open
+    assert not any(of_symbol(table, *MOTION))
 
 
 def test_the_open_loop_beside_is_that_of_a_run_without_control():
@@ -48,6 +50,8 @@ def test_a_body_that_is_measured_late_costs_what_its_true_pose_gives_back():
     assert measured[3:] == pytest.approx(true[:-3], abs=1e-4)  # 0.1 s are three steps
     iou, pose, both = (each.mean() for each in of_symbol(table, "iou", "iou_true_pose", "iou_true"))
     assert iou < pose < both + 0.02
+    error, motion = of_symbol(table, "centroid_error_x_percent", "centroid_motion_x_percent")
+    assert np.abs(error - motion).mean() < np.abs(error).mean()
 
 
 def test_nothing_is_drawn_anew_without_being_asked():
