@@ -87,8 +87,8 @@ def _world(given: Namespace, kind: str, name: str, road: Table, symbol: Table, l
 def world(given: Namespace, kind: str, name: str, scenario: Scenario) -> World:
     symbol, late, on_road = scenario.symbol, scenario.camera.latency_steps, scenario.symbol.target == "place"
     target = f"{symbol.x_m:g} m" + (f", {symbol.y_m:+g} m aside" if symbol.y_m else "") + (" on the road" if on_road else "")
-    tables = {each: {"name": each} for each in (given.on_road_controllers if on_road else given.controllers)}
-    tables[FEEDFORWARD] = {"name": "feedforward", "road": road_of(scenario)}
+    tables = {name: dict(given.controllers[name]) for name in (given.on_road_controllers if on_road else given.controllers)}
+    tables[FEEDFORWARD]["road"] = road_of(scenario)
     return World(f"{name}; {symbol.image} at {target}, {late} late", {"kind": kind, "latency": late}, scenario, tables, bounded=True)
 
 
