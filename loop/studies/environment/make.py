@@ -10,9 +10,8 @@ from luxloop.loop.scenario.shipped import scenario_files
 from luxloop.world.errors import LuxloopError
 
 if TYPE_CHECKING:
-    from luxloop.loop.studies.environment.randomised import RandomisedVector
     from luxloop.loop.studies.environment.single import SymbolEnv
-    from luxloop.loop.studies.environment.stable_baselines import SymbolVecEnv
+    from luxloop.loop.studies.environment.stable_baselines import Group, SymbolVecEnv
     from luxloop.loop.studies.environment.vector import SymbolVectorEnv
 
 IDS: Mapping[str, str] = {"": "moves", "Gains": "gains", "Heights": "heights"}
@@ -62,10 +61,10 @@ def make_vec(
     return SymbolVectorEnv(scenario, num_envs, overrides, action=action, image=image, autoreset_mode=autoreset_mode, device=device)
 
 
-def make_sb3(copies: "SymbolVectorEnv | RandomisedVector", starts: tuple[Sequence[float], Sequence[float]] | None = None) -> "SymbolVecEnv":
-    """`VecEnv` for the algorithms of Stable-Baselines3.
+def make_sb3(copies: "Group", /, *more: "Group", starts: tuple[Sequence[float], Sequence[float]] | None = None) -> "SymbolVecEnv":
+    """`VecEnv` for the algorithms of Stable-Baselines3, of one or more groups of copies, each group in its own world.
 
-    copies: of `make_vec` with autoreset_mode="Disabled", or a `RandomisedVector` of them, which draws values for each of its episodes.
+    copies, more: of `make_vec` with autoreset_mode="Disabled" and equal steps, or a `RandomisedVector` of them, which draws their worlds.
     starts: least and greatest start pose (x, y in m, roll, pitch in rad), between which each copy's is drawn; by default the scenario's
     start. Raises LuxloopError if Stable-Baselines3 is missing, or for another autoreset mode.
     """
@@ -73,7 +72,7 @@ def make_sb3(copies: "SymbolVectorEnv | RandomisedVector", starts: tuple[Sequenc
         from luxloop.loop.studies.environment.stable_baselines import SymbolVecEnv
     except ImportError as error:
         raise LuxloopError("make_sb3: needs Stable-Baselines3, which is not installed; get it with pip install 'luxloop[sb3]'") from error
-    return SymbolVecEnv(copies, starts)
+    return SymbolVecEnv((copies, *more), starts)
 
 
 def _needs_gymnasium() -> None:

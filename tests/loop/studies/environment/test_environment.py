@@ -207,9 +207,27 @@ def test_stable_baselines_gets_the_copies_and_their_last_observations():
         luxloop.make_sb3(luxloop.make_vec("snowflake", 2, *SMALL))
 
 
+def test_stable_baselines_gets_groups_of_copies_in_worlds_of_their_own():
+    def group(copies, *more):
+        return luxloop.make_vec("snowflake", copies, *SMALL, "steps=2", *more, autoreset_mode="Disabled")
+
+    rough = "road.kind=mixed"
+    both, alone = luxloop.make_sb3(group(1), group(2, rough)), group(2, rough)
+    both.seed(5)
+    assert both.num_envs == 3 and [each["seed"] for each in (both.reset(), both.reset_infos)[1]] == [5, 6, 7]
+    alone.reset(seed=6)
+    actions = np.linspace(-1, 1, 12, dtype=np.float32).reshape(3, 4)
+    for _ in range(2):
+        now, rewards, done, told = both.step(actions)
+        seen, expected, *_ = alone.step(actions[1:])
+        last = now if not done.any() else np.stack([each["terminal_observation"] for each in told])
+        assert np.array_equal(last[1:], seen) and rewards[1:] == pytest.approx(expected) and rewards[0] != rewards[1]
+    assert done.all() and both.get_attr("steps") == [2, 2, 2] and both.get_attr("num_envs", [0, 2]) == [1, 2]
+
+
 def test_starts_are_drawn_for_each_copy():
     starts = ((14.0, -1.0, -0.05, -0.02), (20.0, 1.0, 0.05, 0.02))
-    drawn = luxloop.make_sb3(luxloop.make_vec("snowflake", 2, *SMALL, autoreset_mode="Disabled"), starts)
+    drawn = luxloop.make_sb3(luxloop.make_vec("snowflake", 2, *SMALL, autoreset_mode="Disabled"), starts=starts)
     drawn.seed(1)
     poses = [drawn.reset()[:, POSE] for _ in range(2)]
     drawn.seed(1)
