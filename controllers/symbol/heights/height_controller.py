@@ -225,7 +225,7 @@ class HeightController:
             swept = self._sweep(road_map, frames, textures, body_poses)
             again = self._refine(registration, known, swept, seen, textures, limit)
             least, best, light = min((least, best, light), again, key=lambda each: each[0])
-        road_map = replace(road_map, settled=road_map.settled or before > POOR_ROAD)
+        road_map = replace(road_map, settled=road_map.settled or (anew and before > POOR_ROAD))
         if least > POOR and body_poses.still and road_map.searched == searched < SEARCHES:
             if (acquired := self._relocalise(road_map, observation)) is not None:
                 return acquired
@@ -256,12 +256,15 @@ class HeightController:
         return float(registration.residual(light, seen, limit)), found, light[0]
 
     def _relocalise(self, road_map: RoadMap, observation: Observation) -> RoadMap | None:
-        """The road from the symbol's place in the whole image; None if its heights are small enough for registration alone."""
+        """The road from the symbol's place in the whole image, flat in place of another if its heights are small enough for registration
+        alone; None if nothing is to be changed."""
         assert observation.frames is not None
         symbol = self.projector.params
         found = observation.measurement.acquired or self.sensor.relocalise(observation.frames, observation.shown.lights)
-        if not found.found or float(self._heights(found.shape, self.nothing).abs().max()) < LOW_M[symbol.target]:
+        if not found.found:
             return None
+        if float(self._heights(found.shape, self.nothing).abs().max()) < LOW_M[symbol.target]:
+            return None if road_map.shape is None else replace(self.nothing, searched=road_map.searched + 1)
         return self._road_of_shape(road_map, found.shape)
 
     def _guess_road(self, state: HeightControllerState, observation: Observation) -> RoadMap | None:
