@@ -106,3 +106,11 @@ def test_two_looks_lay_the_symbol_straight_on_a_grade(percent, least):
     changes = [*SMALL[:2], f"road={grade(percent)}", "functions.symbol.controller={name='luxloop'}"]
     *_, last = simulation_of(load("snowflake", changes, steps=4)).evaluations()
     assert float(last.symbol.metrics.iou) > least - 0.01
+
+
+def test_a_road_guessed_from_a_start_aside_is_sought_again():
+    """From there, chevrons lie as on a road that leans by 5 %; the second search finds a low road, on which registration begins flat."""
+    start = "functions.symbol.start={x_m=18.35, y_m=-0.71, roll_deg=3.25, pitch_deg=1.97}"
+    own = ["functions.symbol.controller={name='luxloop'}", "functions.symbol.image=chevrons", "camera.height_px=360", "steps=7", "seed=102"]
+    ious = [float(each.symbol.metrics.iou) for each in simulation("{kind='mixed', seed=84770}", start, *own).evaluations()]
+    assert ious[-1] > 0.9  # 0.63 on the leaning road
