@@ -146,7 +146,9 @@ def measure(given: Namespace) -> dict[str, Any]:
     frame = pd.DataFrame(rows)
     own = frame[frame["controller"] == "luxloop"]
     bounds = own.assign(controller="bound", iou=own["iou_bound"])
-    table(f"IoU where the visible share is at least {VISIBLE:g}", pd.concat([frame, bounds]).query(f"visible >= {VISIBLE}"))
+    shown = pd.concat([frame, bounds]).query(f"visible >= {VISIBLE}")
+    table(f"IoU where the visible share is at least {VISIBLE:g}", shown)
+    table("The same by latency", shown[~shown["kind"].str.startswith(ON_ROAD)].sort_values("latency", kind="stable"), "latency")
     table("Grades", pd.concat([own, bounds])[lambda each: each["kind"].isin(given.from_3_m)], "world")
     show("By visible share", by_share(given, own).to_dict("index"))
     return {"rows": rows, "goals": goals(given, frame), "failures": failures}
