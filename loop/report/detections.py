@@ -29,6 +29,7 @@ def draw_detections(file: Path, pictures: Sequence[Path], keys: Sequence[str], o
     greys = [_read(picture) for picture in pictures]
     detector = OnnxDetector(params)
     told = [f"{file}: {detector}"]
+    some = False
     for picture, grey in zip(pictures, greys, strict=True):
         frame = torch.from_numpy(grey).float()[None] / 255
         begin = time.perf_counter()
@@ -41,6 +42,9 @@ def draw_detections(file: Path, pictures: Sequence[Path], keys: Sequence[str], o
         atomic_write(written, cv2.imencode(".png", cv2.cvtColor(drawn, cv2.COLOR_RGB2BGR))[1].tobytes())
         named = ", ".join(f"{detector.classes[int(each.argmax())]} {float(each.max()):.2f}" for each in found.scores) or "nothing"
         told.append(f"{picture}: {named} in {took_ms:.0f} ms; {written}")
+        some |= len(found) > 0
+    if pictures and not some:
+        told.append("Nothing is found where detector.white, detector.mean or detector.std is wrong, or detector.threshold too high.")
     return "\n".join(told)
 
 

@@ -21,7 +21,8 @@ OVERLAP = 0.25  # least share that neighbouring tiles have in common
 EDGE_PX = 2.0  # of the network's picture; a box so near to an inner side of a tile is cut there
 OWN = "or write a detector of your own"
 NUMBERINGS: Mapping[str, Mapping[int, Category]] = {"coco": COCO, "coco91": COCO91}
-COUNTS = {80: "coco", 91: "coco91"}  # classes of networks that do not name theirs
+OF_DETR = 91  # classes by which its kin differs from RT-DETR, which has COCO's 80
+COUNTS = {80: "coco", OF_DETR: "coco91"}  # classes of networks that do not name theirs
 IMAGENET = "mean = [0.485, 0.456, 0.406] and detector.std = [0.229, 0.224, 0.225]"
 
 
@@ -59,7 +60,8 @@ class OnnxDetector:
         white = params.white or (255 if self.network.picture.numbers == "uint8" else 1)
         outputs = self._run(encode(torch.linspace(0, 1, columns).expand(rows, columns), params.gamma), white)
         self.layout = params.layout or self._layout_of(outputs)
-        self.meaning = self._meaning(outputs, self._read(outputs)[1].shape[1])
+        count = self._read(outputs)[1].shape[1]
+        self.meaning = self._meaning(outputs, count)
         self.classes: tuple[Category, ...] = tuple(dict.fromkeys(self.meaning.values()))
         self.white = 255 if self.layout == "yolox" and params.white is None else white
         if self.layout == "yolov5" and params.white is None and self._like_yolox(outputs):
@@ -67,7 +69,7 @@ class OnnxDetector:
                 f"detector.white: {params.file} gives one box a cell, as YOLOX does, which takes pictures of 0..255; set detector.white "
                 "= 255 for YOLOX, 1 for networks that take 0..1"
             )
-        if self.layout == "detr" and params.mean is None:
+        if params.mean is None and (self.layout == "detr" or (self.layout, count) == ("rtdetr", OF_DETR)):
             raise LuxloopError(
                 f"detector.mean: {params.file} is of the family of DETR, which takes normalised pictures; set "
                 f"detector.{IMAGENET}, or 0 and 1 where the file does this itself"
@@ -200,13 +202,13 @@ class OnnxDetector:
                 raise LuxloopError(
                     f"{where}{self.params.file} has the classes {', '.join(self.network.names.values())[:200]}; set detector.classes"
                 )
-        elif self.layout == "listed":
+        elif not layout.counted:
             raise LuxloopError(
-                f'{where}{self._gives(outputs)}, numbers without names; set detector.classes = "coco" (a person is 0) or "coco91" (1), '
-                "or a table of numbers"
+                f'{where}{self._gives(outputs)}, class numbers without names; set detector.classes = "coco" (a person is 0) or "coco91" '
+                "(1), or a table of numbers"
             )
-        elif count is None or count in COUNTS:
-            found = dict(NUMBERINGS[COUNTS[count or 80]])
+        elif count in COUNTS:
+            found = dict(NUMBERINGS[COUNTS[count]])
         else:
             raise LuxloopError(f"{named}, and not the {' or '.join(map(str, COUNTS))} of COCO; set detector.classes{others}")
         if count is not None and (largest := max(found)) >= count:

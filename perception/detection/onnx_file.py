@@ -88,8 +88,8 @@ class Network:
 def open_network(params: OnnxParams) -> Network:
     """The network of a file.
 
-    Raises LuxloopError where the file is missing, damaged or unreadable, where its first input is no picture of 1 or 3 channels, or where
-    it has inputs that luxloop cannot fill.
+    Raises LuxloopError where the file is missing, damaged or unreadable, where no input is a picture of 1 or 3 channels, or where it has
+    inputs that luxloop cannot fill.
     """
     if not os.path.isfile(params.file):
         raise LuxloopError(f"detector.file: {params.file}: there is no such file; check the path")
@@ -168,11 +168,12 @@ def _inputs(model: "onnx.ModelProto", params: OnnxParams) -> tuple[Picture, dict
     inputs = [each for each in model.graph.input if each.name not in weights]
     if not inputs:
         raise LuxloopError(f"{where}: has no input; export it with one, the picture")
-    picture = _picture(inputs[0], params)
+    first = next((each for each in inputs if len(_sizes(each)) in (3, 4)), inputs[0])
+    picture = _picture(first, params)
     sizes = {"N": picture.batch, "C": picture.channels, "H": picture.input_px[1], "W": picture.input_px[0]}
-    for dimension, axis in zip(inputs[0].type.tensor_type.shape.dim, picture.axes, strict=True):
+    for dimension, axis in zip(first.type.tensor_type.shape.dim, picture.axes, strict=True):
         dimension.dim_value = sizes[axis]
-    extra = {each.name: _extra(each, picture, where) for each in inputs[1:]}
+    extra = {each.name: _extra(each, picture, where) for each in inputs if each is not first}
     afford(
         f"{where}: the numbers between two of its layers for pictures of {size_text(picture.input_px)} px",
         BYTES_A_NUMBER * _most_numbers(model, where),
@@ -219,7 +220,7 @@ def _extra(given: "onnx.ValueInfoProto", picture: Picture, where: str) -> Array:
     if given.name in values and len(sizes) == 2:
         return np.array([values[given.name]] * picture.batch, numbers)
     if "mask" in given.name and len(sizes) == 3:
-        return np.ones((picture.batch, height, width), numbers)
+        return np.ones([_or(size, usual) for size, usual in zip(sizes, (picture.batch, height, width), strict=True)], numbers)
     raise LuxloopError(
         f"{where}: has a further input {_describe(given)}; only {', '.join(values)} and pixel masks are known; export it with the picture "
         "alone, or write a detector of your own"
@@ -232,8 +233,8 @@ def error_text(error: Exception) -> str:
 
 
 def size_text(sizes: tuple[int | str, ...]) -> str:
-    """Sizes in words."""
-    return " x ".join(map(str, sizes))
+    """Sizes in words; a number without any is 1."""
+    return " x ".join(map(str, sizes)) or "1"
 
 
 def _checked_model(file: str) -> "onnx.ModelProto":

@@ -15,7 +15,7 @@ Reading = tuple[Tensor, Tensor]  # corners [n, 4] px, scores [n, C]
 
 ROUNDING = 1e-3  # by which a score may leave 0..1
 ROUNDING_PX = 1.0  # by which a side may be below 0: corners in half precision are that coarse
-SHARES = 2.0  # px; boxes of which none reaches farther are shares of the picture
+SHARES = 2.0  # px; boxes of which half reach no farther are shares of the picture: unlikely ones of SSD may leave it by far
 STRIDES = (4, 8, 16, 32, 64)  # px; side of the cells of a network's levels, of which each uses three or more that follow each other
 ANCHORS = 3  # boxes a cell of YOLOv5 and YOLOv7; others have one
 NEAR = 1 / 8  # of the picture's side; if no box of any cell reaches farther, boxes are offsets from their cells
@@ -43,7 +43,8 @@ def read(outputs: Outputs, layout: Layout, form: Form) -> Reading:
     outputs: of one picture, by name. Boxes that are not finite are dropped. Raises ValueError with what was seen if the outputs do not have
     the layout, Implausible if their numbers cannot be boxes and scores.
     """
-    boxes, scores = LAYOUTS[layout].read(outputs, form)
+    flat = {name: each.flatten(1, 2) if each.shape[2:] == (1, 4) else each for name, each in outputs.items()}  # 1 x boxes x 1 x 4: YOLOv4
+    boxes, scores = LAYOUTS[layout].read(flat, form)
     finite = boxes.isfinite().all(1) & scores.isfinite().all(1)
     if len(boxes) and not finite.any():
         raise ValueError("no box has finite numbers only")
@@ -52,7 +53,8 @@ def read(outputs: Outputs, layout: Layout, form: Form) -> Reading:
         low, high = (float(each) for each in scores.aminmax())
         if low < -ROUNDING or high > 1 + ROUNDING:
             raise Implausible(f"scores reach from {low:.3g} to {high:.3g} and not within 0..1")
-        if float(boxes.max()) <= SHARES:
+        farthest = boxes.amax(1)
+        if (some := farthest[farthest > 0]).numel() and float(some.median()) <= SHARES:  # rows of 0 fill up lists
             boxes = boxes * boxes.new_tensor(form.input_px * 2)
         if (thinnest := float((boxes[:, 2:] - boxes[:, :2]).min())) < -ROUNDING_PX:
             raise Implausible(f"boxes have sides down to {thinnest:.3g} px")
@@ -63,7 +65,10 @@ def fitting(outputs: Outputs, form: Form, fits: Callable[[Layout, int], bool]) -
     """The layouts as which outputs can be read, with a number of classes that fits; and why others that nearly fit do not."""
     found: list[Layout] = []
     nearly: list[str] = []
-    for name in LAYOUTS:
+    for name, family in LAYOUTS.items():
+        across = family.cells
+        if across and any(each.ndim == 3 and each.shape[across] < each.shape[3 - across] for each in outputs.values()):
+            continue  # a list of the best boxes, since cells outnumber the numbers of a box
         try:
             scores = read(outputs, name, form)[1]
         except Implausible as reason:
@@ -94,19 +99,31 @@ def _rows(outputs: Outputs, numbers: int, turned: bool = False) -> Tensor:
     return rows.float()
 
 
-def _yolov8(outputs: Outputs, form: Form) -> Reading:
-    rows = _rows(outputs, 5, turned=True)
-    masks = [each.shape[1] for each in outputs.values() if each.ndim == 4 and len(each) == 1]
-    last = 4 + form.classes if form.classes else rows.shape[1] - (masks[0] if masks else 0)
-    if last > rows.shape[1] or last <= 4:
+def _masks(outputs: Outputs) -> int:
+    """Numbers of a box for its mask: channels of the output that holds the masks' basis."""
+    return next((each.shape[1] for each in outputs.values() if each.ndim == 4 and len(each) == 1), 0)
+
+
+def _dense(outputs: Outputs, form: Form, before: int, turned: bool = False) -> Tensor:
+    """Rows `[n, before + classes]` of the boxes of all cells; what follows the scores, for masks or points, is dropped."""
+    rows = _rows(outputs, before + 1, turned)
+    last = before + form.classes if form.classes else rows.shape[1] - _masks(outputs)
+    if not before < last <= rows.shape[1]:
         raise ValueError(f"each box has {rows.shape[1]} numbers")
+    if rows.shape[1] == last + 1:
+        raise Implausible("each box has one number more than its classes, as an angle, which is not read")
+    return rows[:, :last]
+
+
+def _yolov8(outputs: Outputs, form: Form) -> Reading:
+    rows = _dense(outputs, form, 4, turned=True)
     corners = _corners(rows[:, :4])
     _refuse_offsets(corners, form)
-    return corners, rows[:, 4:last]
+    return corners, rows[:, 4:]
 
 
 def _yolov5(outputs: Outputs, form: Form) -> Reading:
-    rows = _rows(outputs, 6)
+    rows = _dense(outputs, form, 5)
     boxes, rest = rows[:, :4], rows[:, 5:]
     in_order = bool((boxes[:, 2:] >= boxes[:, :2]).all())  # as corners are, but not middles and sides
     if rest.shape[1] == 1 and len(rest) and _whole(rest) and in_order:
@@ -133,17 +150,22 @@ def _yolox(outputs: Outputs, form: Form) -> Reading:
 
 def _yolov10(outputs: Outputs, form: Form) -> Reading:
     rows = _rows(outputs, 6)
-    if rows.shape[1] != 6:
+    more = rows.shape[1] - 6
+    if more not in (0, _masks(outputs)) and not (form.classes and more > 1):  # masks; points; not an angle
         raise ValueError(f"each box has {rows.shape[1]} numbers")
     return rows[:, :4], _by_class(rows[:, 4], rows[:, 5])
 
 
-def _rows_of_seven(outputs: Outputs, form: Form) -> Reading:
-    """YOLOv7 with suppression: picture, corners, class, score; YOLO-NAS: picture, corners, score, class."""
-    if [each.shape[1:] for each in outputs.values()] != [(7,)]:
-        raise ValueError("there must be one output of boxes x 7")
-    (given,) = outputs.values()
-    rows = given[given[:, 0] == 0].float()  # of the first picture
+def _rows_of_class_and_score(outputs: Outputs, form: Form) -> Reading:
+    """YOLOv7 with suppression: picture, corners, class, score; YOLO-NAS: picture, corners, score, class; PaddleDetection, which gives their
+    count, too: class, score, corners."""
+    tables = [each.float() for each in outputs.values() if each.ndim > 1]
+    if [each.shape[1:] for each in tables] not in ([(6,)], [(7,)]) or not _whole(tables[0][:, 0]):
+        raise ValueError("there must be one output of boxes x 6 or 7, of which the first is whole")
+    (given,) = tables
+    if given.shape[1] == 6:
+        return given[:, 2:], _by_class(given[:, 1], given[:, 0])
+    rows = given[given[:, 0] == 0]  # of the first picture
     fifth, sixth = rows[:, 5], rows[:, 6]
     if len(rows) and _whole(fifth) == _whole(sixth):
         raise ValueError("one of the last two numbers of each box must be a whole class number, and the other a score")
@@ -168,45 +190,51 @@ def _detr(outputs: Outputs, form: Form) -> Reading:
 
 
 def _scored(outputs: Outputs, form: Form) -> Reading:
+    if any(name.startswith(TENSORFLOW) for name in outputs):
+        raise ValueError("TensorFlow gives top and left first, and lists classes and scores")
     return _pair(outputs)
 
 
 def _listed(outputs: Outputs, form: Form) -> Reading:
-    """Corners, class numbers and scores, one output each, and often the number of boxes."""
-    box = next((name for name in outputs if name.startswith(TENSORFLOW)), None) or next(
-        (name for name, each in outputs.items() if each.ndim > 1 and each.shape[-1] == 4), None
-    )
-    if box is None:
-        raise ValueError("there must be an output of four numbers a box")
+    """Corners, class numbers and scores, one output each, or scores beside the corners (MMDetection); and often the number of boxes."""
+    wide = [name for name, each in outputs.items() if each.ndim in (2, 3) and each.shape[-1] in (4, 5)]
+    if not wide:
+        raise ValueError("there must be an output of four numbers a box, or five with its score")
+    box = next((name for name in wide if name.startswith(TENSORFLOW)), max(wide, key=lambda name: outputs[name].ndim))
     boxes = outputs[box]
     same = {name: each for name, each in outputs.items() if name != box and each.shape == boxes.shape[:-1]}
     numbers = [name for name in same if re.search("class|label|idx", name)] or [
         name for name, each in same.items() if not each.is_floating_point()
     ]
-    if len(numbers) != 1 or len(same) != 2:
+    best = [each for name, each in same.items() if name not in numbers]
+    if boxes.shape[-1] == 5:
+        best = [boxes[..., 4]]
+    elif len(best) > 1:
+        best = [same[name] for name in same if "score" in name]
+    if len(numbers) != 1 or len(best) != 1:
         raise ValueError("there must be outputs of corners, class numbers and scores, one of each a box")
-    (score,) = same.keys() - numbers
     counts = [int(each.flatten()[0]) for each in outputs.values() if each.numel() == 1 and each.shape != boxes.shape[:-1]]
-    found = [each[0] if boxes.ndim == 3 else each for each in (boxes, same[numbers[0]], same[score])]
+    found = [each[0] if boxes.ndim == 3 else each for each in (boxes[..., :4], same[numbers[0]], best[0])]
     corners, classes, scores = (each[: counts[0] if counts else None].float() for each in found)
     return corners[:, [1, 0, 3, 2]] if box.startswith(TENSORFLOW) else corners, _by_class(scores, classes)
 
 
 @dataclass(frozen=True)
 class Family:
-    """How a layout is read, and its form in words. counted: whether it shows the number of classes."""
+    """How a layout is read, and its form in words. counted: whether it shows the number of classes. cells: axis of a box for each cell."""
 
     read: Callable[[Outputs, Form], Reading]
     form: str
     counted: bool = True
+    cells: int | None = None
 
 
 LAYOUTS: Mapping[Layout, Family] = {
-    "yolov5": Family(_yolov5, "1 x boxes x (5 + classes)"),
-    "yolov8": Family(_yolov8, "1 x (4 + classes) x boxes"),
-    "yolov10": Family(_yolov10, "1 x boxes x 6", False),
+    "yolov5": Family(_yolov5, "1 x boxes x (5 + classes)", cells=1),
+    "yolov8": Family(_yolov8, "1 x (4 + classes) x boxes", cells=2),
+    "yolov10": Family(_yolov10, "1 x boxes x (6 + masks)", False),
     "yolox": Family(_yolox, "as yolov5, not decoded"),
-    "rows": Family(_rows_of_seven, "boxes x 7", False),
+    "rows": Family(_rows_of_class_and_score, "boxes x 7, or x 6, class and score first", False),
     "rtdetr": Family(_rtdetr, "1 x boxes x (4 + classes), or boxes and logits"),
     "detr": Family(_detr, "boxes and logits, no object last"),
     "scored": Family(_scored, "corners and scores of all classes"),
@@ -251,10 +279,11 @@ def _logits(logits: Tensor) -> Tensor:
 
 
 def _by_class(scores: Tensor, numbers: Tensor) -> Tensor:
-    """Scores `[n, C]` of boxes of one class each, from the scores `[n]` and the class numbers `[n]`."""
-    if len(numbers) and not (_whole(numbers) and numbers.min() >= 0 and numbers.max() < MOST_CLASSES):
-        raise ValueError("the sixth number of each box is not a class number")
-    return scores[:, None] * one_hot(numbers.long(), int(max(numbers.tolist(), default=0)) + 1)
+    """Scores `[n, C]` of boxes of one class each, from the scores `[n]` and the class numbers `[n]`, of which -1 fills up lists."""
+    if len(numbers) and not (_whole(numbers) and numbers.min() >= -1 and numbers.max() < MOST_CLASSES):
+        raise ValueError("a box has no class number")
+    some = numbers.clamp(min=0).long()
+    return (scores * (numbers >= 0))[:, None] * one_hot(some, int(max(some.tolist(), default=0)) + 1)
 
 
 def _whole(numbers: Tensor) -> bool:

@@ -18,6 +18,11 @@ def test_pictures_get_their_boxes(lux, tmp_path):
     changed = np.argwhere((drawn != grey[..., None]).any(2))
     assert drawn.shape == (48, 96, 3) and changed.min(0)[1] >= 18  # px; the box begins at 20
 
+    code, told, _ = lux(
+        "detect", params.file, str(tmp_path / "road.png"), "--out", str(tmp_path / "out"), "--set", "detector.threshold=0.95"
+    )
+    assert code == 0 and "nothing in" in told and "detector.mean" in told
+
 
 def test_what_cannot_be_read_leaves_nothing_behind(lux, tmp_path):
     params = FAMILIES["YOLOv8"].write(tmp_path / "network.onnx")

@@ -6,7 +6,22 @@ import pytest
 import torch
 
 from luxloop.perception.detection.onnx import OnnxDetector
-from tests.perception.detection.exports import BOX, DENSE, FAMILIES, LIST, NAMES, PAIR, Export, detr, frame, torchvision, yolov8
+from tests.perception.detection.exports import (
+    BOX,
+    DENSE,
+    FAMILIES,
+    LIST,
+    NAMES,
+    PAIR,
+    Export,
+    detr,
+    frame,
+    posed,
+    rtdetr,
+    torchvision,
+    yolov8,
+    yolov10,
+)
 from tests.refusal import refusal
 
 
@@ -44,6 +59,12 @@ def test_open_cv_reads_what_onnxruntime_reads(tmp_path, monkeypatch):
 
 UNCLEAR = {
     "listed without numbering": (Export(torchvision, "listed", outputs=LIST), r'classes: .* set detector.classes = "coco" .* or "coco91"'),
+    "YOLOv10 without names": (Export(yolov10, "yolov10"), r'classes: .* set detector.classes = "coco" .* or "coco91"'),
+    "boxes with an angle": (
+        Export(lambda boxes, scores: posed(boxes, scores)[:, :7], "yolov8", 2, boxes=DENSE, metadata=NAMES),
+        "layout: .* an angle, which is not read",
+    ),
+    "Deformable DETR without its mean": (Export(rtdetr, "rtdetr", 91, outputs=PAIR), "mean: .* set detector.mean ="),
     "DETR of own classes": (Export(detr, "detr", 3, outputs=PAIR, params={"classes": {1: "car"}}), "layout: .* may be rtdetr or detr; set"),
     "DETR without its mean": (Export(detr, "detr", 91, outputs=PAIR, params={"layout": "detr"}), "mean: .* set detector.mean ="),
     "names that it lacks": (

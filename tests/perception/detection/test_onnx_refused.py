@@ -14,7 +14,7 @@ from luxloop.perception.detection.detector import OnnxParams
 from luxloop.perception.detection.onnx import OnnxDetector
 from tests.refusal import refusal
 
-SIZE = 64  # px, of which a stride of 8 makes 64 boxes
+SIZE = 64  # px, of which a stride of 4 makes 256 boxes
 
 
 class Tiny(nn.Module):
@@ -22,7 +22,7 @@ class Tiny(nn.Module):
 
     def __init__(self, numbers: int, logits: bool = False, channels: int = 3) -> None:
         super().__init__()
-        self.patches = nn.Conv2d(channels, numbers, 8, 8)
+        self.patches = nn.Conv2d(channels, numbers, 4, 4)
         self.logits = logits
 
     def forward(self, pictures: Tensor) -> Tensor:
@@ -68,21 +68,23 @@ def wrong(module: nn.Module, words: str, *inputs: Tensor, **params: Any) -> tupl
 
 ONE = {0: "pedestrian"}
 REFUSED = {
-    "yolov8 as yolov5": wrong(Tiny(84), r'layout: .*1 x 84 x 64 .* not within 0..1; set detector.layout = "yolov8"$', layout="yolov5"),
+    "yolov8 as yolov5": wrong(Tiny(84), r'layout: .*1 x 84 x 256 .* not within 0..1; set detector.layout = "yolov8"$', layout="yolov5"),
     "yolov5 as yolov8": wrong(YoloV5(85), r'layout: .* scores .*; set detector.layout = "yolov5"$', layout="yolov8"),
     "yolov8 turned, as yolov5, of COCO": wrong(YoloV5(84), r"classes: .* 79 classes .* 80 or 91 of COCO; .* export it", layout="yolov5"),
-    "yolov8 turned, as yolov5, all classes": wrong(YoloV5(6), "classes: .* there is no 1; .* 1 x 6 x 64", layout="yolov5", classes=OURS),
-    "yolov8 turned, as yolov8": wrong(YoloV5(7), 'layout: .* scores .*"yolov5", or export it as 1 x 7 x 64', layout="yolov8", classes=OURS),
-    "yolov8 as yolov10": wrong(Tiny(84), r'layout: .* each box has 64 numbers; .* "yolov8"$', layout="yolov10"),
+    "yolov8 turned, as yolov5, all classes": wrong(YoloV5(6), "classes: .* there is no 1; .* 1 x 6 x 256", layout="yolov5", classes=OURS),
+    "yolov8 turned, as yolov8": wrong(
+        YoloV5(7), 'layout: .* scores .*"yolov5", or export it as 1 x 7 x 256', layout="yolov8", classes=OURS
+    ),
+    "yolov8 as yolov10": wrong(Tiny(84), r'layout: .* each box has 256 numbers; .* "yolov8"$', layout="yolov10"),
     "yolov10 as yolov8": wrong(YoloV10(6), r'layout: .* scores .*; set detector.layout = "yolov10"$', layout="yolov8"),
     "yolov10 as yolov5": wrong(YoloV10(6), r'layout: .* the sixth number .*"yolov10"$', layout="yolov5", classes=ONE),
     "yolov5 of one class as yolov10": wrong(YoloV5(6), 'layout: .* no.* class number; .* "yolov5"', layout="yolov10", classes=ONE),
     "before the sigmoid": wrong(Tiny(84, logits=True), "layout: .*yolov8: scores reach from -.*; export it"),
-    "before the boxes are made": wrong(Grid(255), r"layout: .* 1 x 255 x 8 x 8 numbers, .* known forms .*; export it"),
+    "before the boxes are made": wrong(Grid(255), r"layout: .* 1 x 255 x 16 x 16 numbers, .* known forms .*; export it"),
     "own classes": wrong(Tiny(6), "classes: .* 2 classes as yolov8, and not the 80 or 91 of COCO; set detector.classes$"),
     "classes that it lacks": wrong(Tiny(6), "classes: .* 2 classes .* there is no 2; correct detector.classes$", classes={2: "car"}),
     "two inputs": wrong(TwoInputs(84), "file: .* has a further input .*; export it with the picture alone", PICTURE, torch.ones(1)),
-    "two outputs": wrong(TwoOutputs(84), "layout: .* 1 x 4 x 64, .* 1 x 80 x 64 numbers, .* known forms"),
+    "two outputs": wrong(TwoOutputs(84), "layout: .* 1 x 4 x 256, .* 1 x 80 x 256 numbers, .* known forms"),
     "four channels": wrong(Tiny(84, channels=4), "file: .* 4 channels, .*; export it for 1 or 3$", PICTURE[:, [0, 1, 2, 0]]),
     "another size": wrong(Tiny(84), r"file: .* 1 x 3 x 32 x 96.*; leave detector.input_px out$", torch.zeros(1, 3, 32, 96)),
 }

@@ -137,7 +137,9 @@ def test_what_is_not_finite_is_left_out(tmp_path):
             numbers = np.array(LAYOUTS["yolov8"])
             numbers[number, 0] = wrong
             file = says(numbers, (640, 640), tmp_path / "says.onnx")
-            (found,) = OnnxDetector(OnnxParams(file=file, classes={0: "pedestrian", 1: "animal"})).detect(torch.rand(1, 160, 320))
+            (found,) = OnnxDetector(OnnxParams(file=file, layout="yolov8", classes={0: "pedestrian", 1: "animal"})).detect(
+                torch.rand(1, 160, 320)
+            )
             assert found.boxes.tolist() == [pytest.approx([145, 15, 155, 25])] and found.scores[0].tolist() == pytest.approx([0.2, 0.7])
 
 
