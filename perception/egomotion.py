@@ -55,7 +55,7 @@ class Ego:
     their rates in m/s and rad/s; 0 if not measured. speed_m_s: `[]`, of the rear axle, mean since the previous sample, extrapolated to
     time_s by an accelerometer if there is one. speed_s: its time of measurement. yaw_rate_rad_s: `[]`, left positive, mean since the
     previous sample, 0 without a gyro. pivot_x_m: x in the ground frame of the axis of roll and pitch. rear_x_m: x in the ground frame of
-    the rear axle.
+    the rear axle. over_wheels: whether the attitude is that over the plane of the wheels, by the suspension.
     """
 
     time_s: float
@@ -70,6 +70,7 @@ class Ego:
     yaw_rate_rad_s: Tensor
     pivot_x_m: float = 0.0
     rear_x_m: float = 0.0
+    over_wheels: bool = False
 
     @property
     def stands(self) -> bool:
@@ -139,6 +140,7 @@ def ego_of(samples: Samples, vehicle: VehicleParams | None, time_s: float, perio
         wheels.measured_s,
         gyro.values[2].nan_to_num(),
         *((0.0, 0.0) if vehicle is None else (vehicle.pivot_x_m, vehicle.rear_x_m)),
+        body.sensor == "suspension",
     )
 
 

@@ -6,7 +6,7 @@ known beforehand.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Final
 
@@ -16,7 +16,8 @@ from torch import Tensor
 
 from luxloop.perception.egomotion import Ego
 from luxloop.world.params import Params
-from luxloop.world.scene.vehicle import body_pose
+from luxloop.world.roads.base import smoothstep
+from luxloop.world.scene.vehicle import LEARNT_M, LOW_PASS_M, body_pose
 
 PARTS: Final = 8  # intervals of a prediction, in which a mode's input is linear
 TIME_DIGITS: Final = 9  # of a duration in s, so that its rounding does not miss the caches
@@ -62,8 +63,10 @@ def _exponential(rates: Sequence[Sequence[float]], duration_s: float) -> Tensor:
 ROUGH_M: Final = 1e-4  # m^2/m, random walk of a wheel's height: between classes C and D of ISO 8608, 2 pi^2 n0^2 Gd(n0)
 CELL_M: Final = 0.2  # length of the road strip's cells
 BEHIND_M: Final = 2.0  # length of the strip behind the rear axle
+TRAIL: Final = round(LOW_PASS_M[1] / 2 / CELL_M)  # cells behind the strip that the low-passes of the ground need
 JERK: Final = (0.8, 0.5, 0.5)  # m/s^3 and rad/s^3, root of the jerk density of other disturbances: heave, roll, pitch
 NOISE: Final = ((1e-3, 2e-4, 2e-4), (5e-3, 2e-3, 2e-3))  # standard deviations of measured heave, roll and pitch, and of their rates
+WHEELS_NOISE: Final = (2e-3, 7e-4, 7e-4)  # of heave, roll and pitch over the wheels, with the road between the strip's cells
 FIRST: Final = (0.02, 0.1, 0.02, 0.1, 0.5)  # m or rad: initial deviations: value, rate by the road; value, rate, acceleration by others
 UNEVEN_M: Final = 0.05  # initial deviation of the road's height
 PITCH_SEEN: Final = 1.5e-4  # rad, error of the pitch between two observations
@@ -91,7 +94,8 @@ class BodyFilter:
     height in m along the wheel tracks in cells from start_m on, first the mean of both tracks, then left minus right. way_m: distance
     driven. known_m: way up to which the camera has seen the road. slope_rad: slope of the ground, assumed beyond known_m. axles_m: x of
     front and rear axle on the ground. distance_m: distance of the symbol from the midpoint of the axles, which converts rise into apparent
-    pitch. observations: times of pending observations, each with the pitch in rad since the previous one, None if unknown.
+    pitch. over_wheels: as in `Ego`. trail: `[k]`, mean heights in m of the cells that the strip has left. observations: times of pending
+    observations, each with the pitch in rad since the previous one, None if unknown.
     """
 
     params: BodyParams
@@ -105,6 +109,8 @@ class BodyFilter:
     mean: Tensor
     covariance: Tensor
     distance_m: float
+    over_wheels: bool = False
+    trail: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
     observations: tuple[tuple[float, float | None], ...] = ()
 
     @classmethod
@@ -124,7 +130,11 @@ class BodyFilter:
         body = cls(params, ego.told_s[0], 0.0, float(ego.speed_m_s), start, start, slope, (front, rear), mean, covariance, distance_m)
         rest = torch.eye(len(mean), dtype=torch.float64)
         rest[:3, BODY:] = body._bases(torch.zeros(1, dtype=torch.float64))[0]  # the body rests on the road: P = R P R'
-        return replace(body, covariance=rest @ covariance @ rest.T)._measure(ego).update(ego)
+        body = replace(body, covariance=rest @ covariance @ rest.T, over_wheels=ego.over_wheels)
+        if body.over_wheels:  # the wheels define the level plane
+            rows = torch.cat([torch.zeros(3, BODY, dtype=torch.float64), rest[:3, BODY:]], 1)
+            body = body._correct(rows, mean.new_zeros(3), mean.new_tensor(WHEELS_NOISE).square())
+        return body._measure(ego).update(ego)
 
     @property
     def pivot_x_m(self) -> float:
@@ -147,7 +157,8 @@ class BodyFilter:
         for time_s in ego.told_s:
             if time_s > body.time_s:
                 past = tuple(observation for observation in body.observations if observation[0] <= time_s)
-                told = replace(body, speed_m_s=float(ego.speed_m_s), slope_rad=float(ego.ground[1]), observations=past)
+                slope_rad = float(body.ground(ego, ego.attitude_s)[1])
+                told = replace(body, speed_m_s=float(ego.speed_m_s), slope_rad=slope_rad, observations=past)
                 known = told.at_last_observation().at(time_s)._measure(ego)
                 body = replace(known, observations=body.observations[len(past) :])
         return body
@@ -178,26 +189,55 @@ class BodyFilter:
         return cells[cells > self.known_m + CELL_M / 2]
 
     def with_road(self, way_m: Tensor, heights: Tensor, variance: Tensor) -> "BodyFilter":
-        """The estimate after road heights `[2, k]` m of left and right track at way `[k]` m, with variance `[2, k]` m^2."""
+        """The estimate after road heights `[2, k]` m of left and right track at way `[k]` m, with variance `[2, k]` m^2.
+
+        Without an attitude unit, an error of the body's pitch at the last observation has tilted them about the pivot.
+        """
         if not len(way_m):
             return self
-        at, none = self._weights(way_m), torch.zeros(len(way_m), len(self._cells()), dtype=torch.float64)
+        body, tilt = self, torch.zeros(len(way_m), BODY, dtype=torch.float64)
+        if self.over_wheels:
+            body = self.at_last_observation()
+            tilt[:, LEVEL] = way_m - body.way_m - body.pivot_x_m
+        at, values = body._weights(way_m), exact(heights) + tilt[:, LEVEL] * body.level_rad
         # H of the left track, mean + difference / 2, and of the right one, mean - difference / 2: [k, n] each.
-        rows = [torch.cat([none.new_zeros(len(way_m), BODY), at, side * at / 2], 1) for side in (1, -1)]
-        return replace(self, known_m=float(way_m[-1]))._correct(torch.cat(rows), exact(heights).flatten(), exact(variance).flatten())
+        rows = torch.cat([torch.cat([tilt, at, side * at / 2], 1) for side in (1, -1)])
+        body = replace(body, known_m=float(way_m[-1]))._correct(rows, values.flatten(), exact(variance).flatten())
+        return body.at(max(self.time_s, body.time_s))
 
     def T_level_body(self, time_s: float) -> Tensor:
         """Predicted pose `[4, 4]` of the body in the level frame at a time."""
         body = self._transition(round(time_s - self.time_s, TIME_DIGITS)) @ self.mean  # [BODY]
         return body_pose(_output_rows(0, BODY) @ body, self.pivot_x_m)
 
+    def ground(self, ego: Ego, time_s: float) -> Tensor:
+        """Height in m, slope in rad and its change in rad/m `[3]` of the ground frame at a time.
+
+        Without an attitude unit those of the low-passed road strip, as in `luxloop.world.scene.vehicle.ground_levels`.
+        """
+        if not self.over_wheels:
+            height, slope, _, bend = ego.at(time_s).ground
+            return exact(torch.stack([height, slope, bend / ego.speed_m_s.clamp(min=1.0)]))
+        way_m, cells = self.way_m + self.speed_m_s * (time_s - self.time_s), self._cells()
+        heights = torch.cat([self.trail, self.mean[BODY : BODY + len(cells)]])  # [k] m
+        behind = self.start_m + CELL_M * torch.arange(-len(self.trail), 0, dtype=torch.float64)
+        ahead = torch.cat([behind, cells]) - way_m - self.axles_m[1]  # of the rear axle
+        near, far = ((1 + (2 * math.pi * ahead / width).cos()) * (ahead.abs() < width / 2) for width in LOW_PASS_M)
+        fit = torch.stack([torch.ones_like(ahead), ahead - CELL_M / 2])[:, 1:]  # of the slope: weighted least squares
+        climb, curvature = torch.linalg.solve(far[1:] * fit @ fit.T, far[1:] * fit @ heights.diff() / CELL_M)
+        height, learnt = near @ (heights - climb * ahead) / near.sum(), float(smoothstep(way_m, 0.0, LEARNT_M))
+        return torch.stack([learnt * (height - self.axles_m[1] * climb), -learnt * climb, -curvature])
+
     def _measure(self, ego: Ego) -> "BodyFilter":
         """Kalman update with the measurements taken at time_s."""
         rows = torch.cat([_output_rows(0, len(self.mean)), _output_rows(1, len(self.mean))])
+        if self.over_wheels:
+            rows[:3, BODY:] -= self._bases(torch.tensor([self.way_m]).double())[0]
         values = torch.cat([exact(ego.level_attitude), exact(ego.rates)])
         times_s = values.new_tensor([ego.attitude_s] * 4 + [ego.rates_s] * 2)  # [6]; the rate of heave is measured with the attitude
         told = (times_s == self.time_s) & values.isfinite()
-        return self._correct(rows[told], values[told], torch.tensor(NOISE, dtype=torch.float64).square().flatten()[told])
+        noise = (WHEELS_NOISE, NOISE[1]) if self.over_wheels else NOISE
+        return self._correct(rows[told], values[told], torch.tensor(noise, dtype=torch.float64).square().flatten()[told])
 
     def _correct(self, rows: Tensor, values: Tensor, variance: Tensor) -> "BodyFilter":
         """Kalman update with measured values z `[k]` of variance r `[k]`; H: `[k, n]`."""
@@ -223,6 +263,7 @@ class BodyFilter:
         covariance[:BODY, strip], covariance[strip, :BODY] = shared[:, strip], shared[:, strip].T
         mean, way_m = torch.cat([body @ self.mean, self.mean[strip]]), self.way_m + self.speed_m_s * duration_s
         count, shift = len(self._cells()), max(math.floor((way_m + self.axles_m[1] - BEHIND_M - self.start_m) / CELL_M), 0)
+        trail = torch.cat([self.trail, mean[BODY + torch.arange(shift).clamp(max=count - 1)]])[-TRAIL:]
         if shift:
             kept = (torch.arange(count) + shift).clamp(max=count - 1)  # the road continues from its last seen height
             order = torch.cat([torch.arange(BODY), BODY + kept, BODY + count + kept])  # [n]
@@ -231,7 +272,8 @@ class BodyFilter:
             for end, share in ((BODY + count, 0.5), (BODY + 2 * count, 2.0)):
                 new = slice(end - min(shift, count), end)
                 covariance[new, new] += share * _walk(min(shift, count))
-        return replace(self, time_s=time_s, way_m=way_m, start_m=self.start_m + shift * CELL_M, mean=mean, covariance=covariance)
+        start_m = self.start_m + shift * CELL_M
+        return replace(self, time_s=time_s, way_m=way_m, start_m=start_m, mean=mean, covariance=covariance, trail=trail)
 
     def _transition(self, duration_s: float) -> Tensor:
         """Transition `[BODY, n]` of the body states over a duration at constant speed."""

@@ -10,6 +10,7 @@ from luxloop.controllers.symbol.sensing.protocol import Observation
 from luxloop.controllers.symbol.sensing.road_shape import HERE
 from luxloop.perception.egomotion import Ego
 from luxloop.world.frames import inverse
+from luxloop.world.scene.vehicle import ground_pose
 
 EVEN = 2e-3  # in m and rad: smaller movements of a standing body count as sensor noise
 LATER_S = 0.2  # a quarter of a slow oscillation, from its zero crossing to its peak
@@ -30,7 +31,7 @@ class BodyPrediction:
         """The prediction of a body filter. since_s: time of the last observation. ground: `T_level_ground` `[4, 4]` at since_s."""
         if ego is None:
             return cls()
-        now = ground_at(ego, ego.time_s)
+        now = ground_pose(body.ground(ego, ego.time_s)[:2])
         if ego.stands and _rests(body, now, ego.time_s):
             return cls()
         # T_ground_level (then) T_then_now T_level_ground (now), and T_ground_level T_level_body (both now).
@@ -69,7 +70,7 @@ class BodyPoses:
         if observation.ego is None or then is None or body is None:
             return cls()
         seen_s, on_s = then.time_s, then.on_s
-        ground = ground_at(then, seen_s)
+        ground = ground_pose(body.ground(then, seen_s)[:2])
         if then.stands and _rests(body, ground, seen_s) and BodyPrediction.of(observation.ego, body, seen_s, ground).still:
             return cls(seen_s, ground)
         T_ground_level, way = inverse(ground), exact(then.way(seen_s - before_s))
@@ -86,11 +87,6 @@ class BodyPoses:
         """Poses in the frame of a plane at `[4, 4]` instead of the ground frame, for a standing vehicle."""
         T = inverse(T_ground_plane)
         return replace(self, on=T @ self.on, off=T @ self.off)
-
-
-def ground_at(ego: Ego, time_s: float) -> Tensor:
-    """`T_level_ground` `[4, 4]` at a time, float64 on the CPU."""
-    return exact(ego.at(time_s).T_level_ground)
 
 
 def _rests(body: BodyFilter, ground: Tensor, time_s: float) -> bool:

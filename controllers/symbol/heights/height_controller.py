@@ -10,7 +10,7 @@ from pydantic import Field
 from torch import Tensor
 
 from luxloop.controllers.symbol.heights.body_filter import BodyFilter, BodyParams
-from luxloop.controllers.symbol.heights.body_poses import AT_REST, BodyPoses, BodyPrediction, ground_at
+from luxloop.controllers.symbol.heights.body_poses import AT_REST, BodyPoses, BodyPrediction
 from luxloop.controllers.symbol.heights.forward_model import ForwardModel
 from luxloop.controllers.symbol.heights.height_map import Belief, body_over
 from luxloop.controllers.symbol.heights.registration import BLURS, COARSE, FINE, HEIGHT_M, Blur, Heights, Registration, plane_sweep
@@ -29,7 +29,7 @@ from luxloop.world.caches import keeping
 from luxloop.world.frames import inverse, transform
 from luxloop.world.frames import pose as pose_of
 from luxloop.world.params import NotNegative, Params
-from luxloop.world.scene.vehicle import LEARNT_M
+from luxloop.world.scene.vehicle import LEARNT_M, ground_pose
 
 LEAST_LIT_PX = 20.0  # least lit pixels of a symbol
 COLUMNS, LINES = 2, 3  # camera columns a column of the registered image, against noise; lines of sight a camera row
@@ -132,7 +132,7 @@ class HeightController:
         assert ego is not None and body is not None  # or it would stand
         now = body.at_last_observation()
         road_map = state.road_map.tilt(now.level_rad - state.level_rad, body.pivot_x_m)
-        ground = ground_at(ego, state.time_s) if state.ground is None else state.ground
+        ground = ground_pose(body.ground(ego, state.time_s)[:2]) if state.ground is None else state.ground
         return road_map, BodyPrediction.of(ego, now, state.time_s, ground)
 
     def step(self, state: HeightControllerState, observation: Observation) -> HeightControllerState:
@@ -295,7 +295,7 @@ class HeightController:
         """
         if body.way_m < LEARNT_M:
             return torch.zeros_like(self.projector.target)
-        ahead_m, curvature = self.projector.params.x_m - ego.rear_x_m, -ego.ground[3] / ego.speed_m_s.clamp(min=1.0)
+        ahead_m, curvature = self.projector.params.x_m - ego.rear_x_m, -body.ground(ego, ego.time_s)[2].to(self.projector.target)
         return torch.stack([curvature * ahead_m**2 / 2, curvature * ahead_m, 0 * curvature, curvature]).to(self.projector.target)
 
     def _heights(self, shape: Tensor, road_map: RoadMap) -> Tensor:

@@ -18,7 +18,7 @@ from luxloop.controllers.symbol.heights.height_controller import HeightControlle
 from luxloop.controllers.symbol.heights.registration import Heights
 from luxloop.controllers.symbol.heights.road_map import RoadMap
 from luxloop.perception.birdseye import Region
-from luxloop.perception.egomotion import Samples, ego_of, newest
+from luxloop.perception.egomotion import Samples, Sensor, ego_of, newest
 from luxloop.perception.sensors import SensorParams, Sensors
 from luxloop.world.frames import inverse, pose, rotation, transform
 from luxloop.world.scene.vehicle import CourseParams, SuspensionParams, VehicleParams, body_pose, drive, ground_pose
@@ -28,6 +28,7 @@ from tests.loop.conftest import simulation_of
 REGION, GRID = Region(14.0, 20.0, 1.5, -1.5), (60, 30)
 EYE, SWUNG = torch.tensor([-1.6, 0.0, 1.35]), torch.tensor([-1.58, 0.01, 1.38])
 BODY, HERE = BodyParams(), torch.eye(4, dtype=torch.float64)
+AHEAD = torch.tensor([17.0, 0.0, 0.0, 1.0], dtype=torch.float64)
 SOFT_AND_STIFF = [0.7, 1.3]  # true natural frequencies over the usual ones: springs of half and 1.7 times the stiffness
 SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=320", "camera.height_px=240", "camera.oversampling=2"]
 NOISE = ("wheels.noise_m_s", "gyro.yaw_noise_deg_s", "gyro.noise_deg_s", "attitude.noise_deg", "attitude.heave_noise_m")
@@ -153,12 +154,17 @@ def springs(factor: float) -> dict[str, float]:
 
 
 def driven(
-    known: bool, steps: int = 30, speed_m_s: float = 20.0, suspension: float = 1.0, belief: BodyParams = BODY
+    known: bool,
+    steps: int = 30,
+    speed_m_s: float = 20.0,
+    suspension: float = 1.0,
+    belief: BodyParams = BODY,
+    fitted: tuple[Sensor, ...] = ("wheels", "gyro", "attitude"),
 ) -> tuple[list[float], list[float], BodyFilter]:
     """Errors in m of the height of the symbol's place over the body, predicted 0.1 s ahead by the filter and linearly, and the filter."""
     params = VehicleParams(course=(CourseParams(speed_m_s=speed_m_s),), suspension=SuspensionParams(**springs(suspension)))
     motion, place = drive(params, cast(Any, Long()), steps / 30 + 1), torch.tensor([17.0, 1.0, 0.0, 1.0]).double()
-    sensors, like = Sensors(motion, SensorParams(), 1 / 30, 0), torch.zeros(1, dtype=torch.float64)
+    sensors, like = Sensors(motion, SensorParams(fitted=fitted), 1 / 30, 0), torch.zeros(1, dtype=torch.float64)
     samples: Samples = {}
     errors, linear, body = [], [], None
     for step in range(steps):
@@ -168,6 +174,11 @@ def driven(
         body = BodyFilter.first(belief, ego, 16.0, 17.0) if body is None else body.update(ego)
         way = body.unseen_way_m()
         heights = torch.from_numpy(np.stack([Long().z(way.numpy(), np.full(len(way), side * BODY.track_m / 2)) for side in (1, -1)]))
+        if body.over_wheels:  # the road is seen from the body
+            at = motion.at(ego.time_s)
+            pitch = -float((ground_pose(HERE.new_tensor([at.ground_m, at.slope_rad])) @ at.T_ground_body)[2] @ AHEAD) / body.distance_m
+            body = body.with_observation(ego.time_s, None)
+            heights -= (body.at_last_observation().level_rad - pitch) * (way - speed_m_s * ego.time_s - body.pivot_x_m)
         body = body.with_road(way, heights, torch.full_like(heights, 1e-8 if known else 1e4))
         then = ego.time_s + 0.1
         now = motion.at(then)
@@ -178,11 +189,28 @@ def driven(
     return errors[10:], linear[10:], body
 
 
-def test_a_body_is_predicted_on_a_road_that_was_seen_and_not_on_another():
-    known, unknown = driven(True)[0], driven(False)[0]
-    # cells of 0.2 m are linear: curvature 0.02 (2 pi / 6)^2 times 0.2^2 / 8 is 0.1 mm at both axles, by the lever of 19 m over 2.8 m
-    assert max(map(abs, known)) < 2e-3
+@pytest.mark.parametrize(
+    ("sensor", "most_m"),
+    [
+        # cells of 0.2 m are linear: curvature 0.02 (2 pi / 6)^2 times 0.2^2 / 8 is 0.1 mm at both axles, by the lever of 19 m over 2.8 m
+        ("attitude", 2e-3),
+        ("suspension", 12e-3),  # the road is known from the body, whose pitch is taken to be known to 7e-4 rad: 12 mm at 17 m
+    ],
+)
+def test_a_body_is_predicted_on_a_road_that_was_seen_and_not_on_another(sensor, most_m):
+    known, unknown = (driven(each, fitted=("wheels", "gyro", sensor))[0] for each in (True, False))
+    assert max(map(abs, known)) < most_m
     assert max(map(abs, unknown)) > 0.02
+
+
+def test_the_ground_is_found_from_the_road_without_an_attitude_unit():
+    *_, body = driven(True, 60, fitted=("wheels", "gyro", "suspension"))
+    car = VehicleParams(course=(CourseParams(speed_m_s=20.0),))
+    now = drive(car, cast(Any, Long()), 3.0).at(body.time_s)
+    height, slope, _ = body.ground(nodding(0), body.time_s).tolist()
+    # as well as heave and pitch over the wheels are taken to be known; the waves are 40 mm high and rise by 21 mrad
+    assert height == pytest.approx(now.ground_m, abs=2e-3)
+    assert slope == pytest.approx(now.slope_rad, abs=7e-4)
 
 
 @pytest.mark.parametrize("suspension", SOFT_AND_STIFF)
