@@ -36,7 +36,7 @@ def worlds(given: Namespace) -> Iterator[tuple[str, tuple[Table, Table]]]:
         latency, width = (int(generator.choice(each)) for each in (given.latencies, given.widths_px))
         radius, side = float(np.exp(generator.uniform(*np.log(given.radii_m)))), int(generator.choice([-1, 1]))
         curvature = side / max(radius, (speed**2 / given.lateral_m_s2)) if form == "bend" else 0.0
-        percent = {"crest": -1, "sag": 1}.get(form, 0) * 100 * given.curve_m / radius
+        percent = {"crest": -1, "sag": 1}.get(form, 0) * min(100 * given.curve_m / radius, given.percent)
         grades = [{"x_m": given.begins_m, "percent": percent, "curve_m": given.curve_m}]
         road = {"kind": "profile", "grades": grades, "roughness_class": roughness, "seed": int(generator.integers(1000))}
         facts = {"class": roughness, "speed": speed, "form": form, "image": image, "latency": latency, "width": width}
