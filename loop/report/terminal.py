@@ -101,7 +101,9 @@ def progress(title: str, total: int, done: int = 0) -> Iterator[Callable[..., No
             time_s = time.monotonic()
             if not stderr.is_terminal and time_s - shown_s >= LINE_S:
                 shown_s = time_s
-                left = (total - done) / max(done - before, 1) * (time_s - start)
-                stderr.print(f"{title}: {done} of {total} done after {time_s - start:.0f} s, about {left:.0f} s left", markup=False)
+                text = f"{title}: {done} of {total} done after {time_s - start:.0f} s"
+                if done > before + 1:  # the first step's time includes the preparation
+                    text += f", about {(total - done) / (done - before) * (time_s - start):.0f} s left"
+                stderr.print(text, markup=False)
 
         yield advance

@@ -45,3 +45,7 @@ def test_a_log_gets_a_line_now_and_then_and_what_is_quick_says_nothing(capsys, m
         for _ in range(3):
             advance()
     assert capsys.readouterr().err == ""
+    with progress("after a long preparation", 12) as advance:
+        now_s += 1.5 * LINE_S
+        advance()
+    assert capsys.readouterr().err == "after a long preparation: 1 of 12 done after 45 s\n"
