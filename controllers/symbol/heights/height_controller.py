@@ -256,8 +256,9 @@ class HeightController:
         return float(registration.residual(light, seen, limit)), found, light[0]
 
     def _relocalise(self, road_map: RoadMap, observation: Observation) -> RoadMap | None:
-        """The road from the symbol's place in the whole image, flat in place of another if its heights are small enough for registration
-        alone; None if nothing is to be changed."""
+        """The road from the symbol's place in the whole image; None where nothing is found, or where its heights are small enough for
+        registration alone. Then a relocalised road gives way to a flat one.
+        """
         assert observation.frames is not None
         symbol = self.projector.params
         found = observation.measurement.acquired or self.sensor.relocalise(observation.frames, observation.shown.lights)
