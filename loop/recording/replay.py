@@ -198,14 +198,14 @@ def compare(first: Path | str, second: Path | str) -> Comparison:
     """
     a, b = (load(Path(each)) for each in (first, second))
     features = {name: each.features for name, each in a.scenario.symbols.items()}
-    here = columns_of(a.table, b.table.schema, Path(first) / TRAJECTORY)
+    here = columns_of(a.table, b.table.schema, Path(first) / TRAJECTORY, f"compare it with a recording of the same scenario, not {second}")
     return Comparison(a.table.num_rows, differences(here, b.table, features), tuple(a.manifest.changes(b.manifest)))
 
 
-def columns_of(table: pa.Table, columns: pa.Schema, file: Path) -> pa.Table:
-    """Selected columns of a recording. Raises LuxloopError where one is missing or has another type."""
+def columns_of(table: pa.Table, columns: pa.Schema, file: Path, remedy: str = "record the run again") -> pa.Table:
+    """Selected columns of a recording. remedy: for a missing column. Raises LuxloopError where one is missing or has another type."""
     if missing := [name for name in columns.names if name not in table.column_names]:
-        raise LuxloopError(f"{file}: the column {missing[0]!r} is missing; record the run again")
+        raise LuxloopError(f"{file}: the column {missing[0]!r} is missing; {remedy}")
     try:
         return table.select(columns.names).cast(columns)
     except (pa.ArrowException, ValueError) as error:

@@ -26,7 +26,7 @@ from luxloop.loop.recording.summary import steady_step
 from luxloop.loop.simulation.columns import SYMBOL, of_one
 from luxloop.loop.simulation.result import StepResult
 from luxloop.world.arrays import read_parquet
-from tests.refusal import refusal
+from tests.refusal import refusal, sentence
 
 HELD = {"symbol": FeatureParams()}
 RAW = tolerances(FeatureParams())
@@ -92,6 +92,9 @@ def test_recordings_are_compared_without_running(recorded, recording, table):
     edit(recording / "manifest.json", device="cuda")
     comparison = compare(recorded, recording)
     assert name in {each.column for each in comparison.differences} and any("cuda" in note for note in comparison.notes)
+    pq.write_table(table.drop_columns([name]), recording / "trajectory.parquet")
+    with sentence(str(recording), name, str(recorded)):  # the remedy names the other one
+        compare(recording, recorded)
 
 
 def test_replay_tells_what_differs_from_where_and_by_how_much(recording, table):
