@@ -75,7 +75,8 @@ def draw_symbol(figure: SubFigure, simulation: Simulation, history: SymbolHistor
 
 
 def _title(simulation: Simulation, name: str, summary: Summary, shadow: str | None) -> tuple[str, ...]:
-    who = f"{simulation.scenario.name}: {name} ({summary['controller']})"
+    controller = Path(summary["controller"]).name  # without the folder of a user's own module
+    who = f"{simulation.scenario.name}: {name} ({controller})"
     if shadow is not None:
         return who, f"{SHADOW} {Path(shadow).name}"
     lost = f"lost in {summary['lost_steps']} of {summary['shown_steps']} steps" if summary["lost_steps"] else ""

@@ -19,7 +19,7 @@ from luxloop.loop.recording.manifest import REPORT, Manifest, table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.report.highlights import Highlights, SymbolHistory, busiest_step
 from luxloop.loop.report.page import DPI, LIGHT_IN, WIDE_IN, _from_near, write_report
-from luxloop.loop.report.symbol import HIGH_IN, _courses, outline_target
+from luxloop.loop.report.symbol import HIGH_IN, _courses, _title, outline_target
 from luxloop.loop.simulation.columns import of_one
 from luxloop.loop.simulation.result import StepResult
 from luxloop.world.frames import View, pose_from_degrees
@@ -59,6 +59,11 @@ def courses(function: Any, table: pa.Table, **summary: Any) -> list[Axes]:
     given = {"settle_step": None, "iou_open": None, "unsettled": "too_short"} | summary
     _courses(figure.add_subfigure(figure.add_gridspec()[0]), function, SymbolHistory("symbol", 12), table, given)
     return figure.axes
+
+
+def test_a_title_has_no_folder_of_an_own_controller(small_simulation):
+    title = _title(small_simulation, "symbol", {"controller": "/home/me/mine:Mine"}, "runs/recorded")
+    assert "mine:Mine" in title[0] and "/home" not in title[0]
 
 
 def test_curves_in_full_light_lie_beside_those_of_the_run(tmp_path, monkeypatch):
