@@ -148,7 +148,8 @@ class HogParams(CodedParams):
     )
 
 
-Colour = tuple[float, float, float] | float  # of channels in their order; frames are grey, so that all channels show the same
+Mean = Annotated[float, Field(ge=-10, le=10)]
+Deviation = Annotated[float, Field(gt=0, le=10)]
 
 
 class OnnxParams(CodedParams):
@@ -165,8 +166,10 @@ class OnnxParams(CodedParams):
         description="fits frames in: whole with a grey border, stretched, or in tiles of their height that overlap",
     )
     white: Literal[1, 255] | None = Field(None, description="number of white in its input; left out: 255 for bytes and yolox, else 1")
-    mean: Colour | None = Field(None, description="mean subtracted from its input, as shares of white; left out: 0")
-    std: Colour | None = Field(None, description="deviation by which that is divided, as shares of white; left out: 1")
+    mean: tuple[Mean, Mean, Mean] | Mean | None = Field(None, description="mean subtracted from its input, as shares of white; left out: 0")
+    std: tuple[Deviation, Deviation, Deviation] | Deviation | None = Field(
+        None, description="deviation by which that is divided, as shares of white; left out: 1"
+    )
     classes: Literal["coco", "coco91"] | dict[ClassName, Category] | None = Field(
         None,
         description="luxloop's class for each of its classes, by number or by the name in the file; others are ignored; coco: COCO's 80 "
@@ -174,11 +177,9 @@ class OnnxParams(CodedParams):
     )
 
     @model_validator(mode="after")
-    def _divides(self) -> Self:
+    def _some_class(self) -> Self:
         if self.classes == {}:
             raise ValueError("classes: names no class; leave it out for COCO's")
-        if self.std is not None and min(np.ravel(self.std)) <= 0:
-            raise ValueError("std: must be above 0")
         return self
 
 
