@@ -193,9 +193,8 @@ def test_table_report_and_failures(tmp_path, monkeypatch):
 
 
 def test_a_campaign_whose_runs_all_fail_says_why(lux, tmp_path):
-    (tmp_path / "wrong.py").write_text(
-        "class Controller:\n    def __init__(self, *given):\n        raise ValueError('no gain')\n    start = projection = step = __init__\n"
-    )
+    fails = "def __init__(self, *given):\n        raise ValueError('no gain')\n    start = projection = step = __init__\n"
+    (tmp_path / "wrong.py").write_text(f"class Controller:\n    {fails}")
     file = written(tmp_path, 'scenarios = ["flat"]\ncontrollers = ["wrong:Controller"]\n')
     code, out, error = lux("campaign", str(file), "--jobs", "1", "--out", "new/folder", "--allow-code")
     assert code == cli.DIFFERS
