@@ -28,21 +28,18 @@ IMAGENET = "mean = [0.485, 0.456, 0.406] and detector.std = [0.229, 0.224, 0.225
 
 @dataclass(frozen=True)
 class Window:
-    """A part of a frame in the network's picture: x_picture = left_px + scale_x * (x_frame - x), and likewise y."""
+    """Columns of a frame in the network's picture: x_picture = left_px + scale_x (x_frame - x), y_picture = top_px + scale_y y_frame."""
 
     x: int
-    y: int
     width: int
-    height: int
     scale: tuple[float, float]
     left_px: int
     top_px: int
 
     def into_frame(self, boxes: Tensor) -> Tensor:
         """Boxes `[n, 4]` px of the frame, from those of the picture."""
-        return (boxes - boxes.new_tensor([self.left_px, self.top_px] * 2)) / boxes.new_tensor(self.scale * 2) + boxes.new_tensor(
-            [self.x, self.y] * 2
-        )
+        border, origin = boxes.new_tensor([self.left_px, self.top_px] * 2), boxes.new_tensor([self.x, 0] * 2)
+        return (boxes - border) / boxes.new_tensor(self.scale * 2) + origin
 
 
 class OnnxDetector:
@@ -101,14 +98,14 @@ class OnnxDetector:
             if self.params.fit != "stretch":
                 scale = (min(scale),) * 2
             left, top = (columns - round(across * scale[0])) // 2, (rows - round(height * scale[1])) // 2
-            yield Window(x, 0, across, height, scale, left, top)
+            yield Window(x, across, scale, left, top)
 
     def _in_window(self, picture: NDArray[np.uint8], window: Window) -> tuple[Tensor, Tensor]:
         """Boxes `[n, 4]` px of the frame and scores `[n, C]` of luxloop's classes in a window."""
         columns, rows = self.form.input_px
-        size = round(window.width * window.scale[0]), round(window.height * window.scale[1])
+        size = round(window.width * window.scale[0]), round(len(picture) * window.scale[1])
         fitted = np.full((rows, columns), GREY, np.uint8)
-        part = picture[window.y : window.y + window.height, window.x : window.x + window.width]
+        part = picture[:, window.x : window.x + window.width]
         place = np.s_[window.top_px : window.top_px + size[1], window.left_px : window.left_px + size[0]]
         fitted[place] = cv2.resize(part, size, interpolation=cv2.INTER_AREA)
         boxes, scores = self._read(self._run(fitted, self.white))
@@ -167,14 +164,17 @@ class OnnxDetector:
             found.append(f'export it as {size} and set detector.layout = "yolov8" where its boxes have no objectness')
         return found
 
+    def _or_others(self, outputs: Outputs) -> str:
+        return "".join(f", or {each}" for each in self._others(outputs))
+
     def _count_fits(self, layout: Layout, count: int) -> bool:
-        """Whether the classes of a network may be so many."""
+        """Whether a network can have this number of classes."""
         if not LAYOUTS[layout].counted:
             return True
         if self.form.classes is not None:
             return count == self.form.classes
         given = self.params.classes
-        return count in COUNTS if given is None else count > (max(self._numbers(given)) if isinstance(given, dict) else 79)
+        return count in COUNTS if given is None else count > (max(self._numbers(given)) if isinstance(given, dict) else min(COUNTS) - 1)
 
     def _numbers(self, given: Mapping[int | str, Category]) -> dict[int, Category]:
         """Categories by number of classes given by number or name."""
@@ -190,7 +190,6 @@ class OnnxDetector:
         given, layout, where = self.params.classes, LAYOUTS[self.layout], "detector.classes: "
         count = scores if layout.counted else self.form.classes
         named = f"{where}{self._gives(outputs)}, {count} classes as {self.layout}"
-        others = "".join(f", or {each}" for each in self._others(outputs))
         if isinstance(given, dict):
             found = self._numbers(given)
         elif given is not None:
@@ -210,9 +209,11 @@ class OnnxDetector:
         elif count in COUNTS:
             found = dict(NUMBERINGS[COUNTS[count]])
         else:
-            raise LuxloopError(f"{named}, and not the {' or '.join(map(str, COUNTS))} of COCO; set detector.classes{others}")
+            raise LuxloopError(
+                f"{named}, and not the {' or '.join(map(str, COUNTS))} of COCO; set detector.classes{self._or_others(outputs)}"
+            )
         if count is not None and (largest := max(found)) >= count:
-            raise LuxloopError(f"{named}, counted from 0, so there is no {largest}; correct detector.classes{others}")
+            raise LuxloopError(f"{named}, counted from 0, so there is no {largest}; correct detector.classes{self._or_others(outputs)}")
         return found
 
     def _like_yolox(self, outputs: Outputs) -> bool:

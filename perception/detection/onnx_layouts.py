@@ -82,14 +82,14 @@ def fitting(outputs: Outputs, form: Form, fits: Callable[[Layout, int], bool]) -
 
 
 def cells(input_px: tuple[int, int], count: float) -> list[int] | None:
-    """Strides of the successive levels, three or more, of a picture that together have so many cells."""
+    """Strides of the levels, at least three in succession, that together have `count` cells; None if there are none."""
     sides = [(input_px[0] // stride) * (input_px[1] // stride) for stride in STRIDES]
     levels = ((first, last) for first in range(len(sides)) for last in range(first + 3, len(sides) + 1))
     return next((list(STRIDES[first:last]) for first, last in levels if sum(sides[first:last]) == count), None)
 
 
 def _rows(outputs: Outputs, numbers: int, turned: bool = False) -> Tensor:
-    """Rows `[n, k]` of the only output of three dimensions, one a box, of at least so many numbers."""
+    """Rows `[n, k]`, one per box, of the only output with three dimensions; k is at least `numbers`."""
     found = [each for each in outputs.values() if each.ndim == 3]
     if len(found) != 1 or len(found[0]) != 1:
         raise ValueError("there must be one output of three dimensions, the first of 1")
@@ -157,8 +157,9 @@ def _yolov10(outputs: Outputs, form: Form) -> Reading:
 
 
 def _rows_of_class_and_score(outputs: Outputs, form: Form) -> Reading:
-    """YOLOv7 with suppression: picture, corners, class, score; YOLO-NAS: picture, corners, score, class; PaddleDetection, which gives their
-    count, too: class, score, corners."""
+    """Rows of picture, corners, class and score (YOLOv7 with suppression), of picture, corners, score and class (YOLO-NAS), or of class,
+    score and corners, with their count (PaddleDetection).
+    """
     tables = [each.float() for each in outputs.values() if each.ndim > 1]
     if [each.shape[1:] for each in tables] not in ([(6,)], [(7,)]) or not _whole(tables[0][:, 0]):
         raise ValueError("there must be one output of boxes x 6 or 7, of which the first is whole")

@@ -169,7 +169,7 @@ LAST = torch.zeros(1, SIZE, SIZE, 3, dtype=torch.uint8)
 
 @dataclass
 class Export:
-    """A family's export. number: of a person, of so many classes. params: keys that a user must set."""
+    """A family's export with a number of classes. number: class number of a person. params: keys that a user must set."""
 
     form: Callable[..., Any]
     layout: str
