@@ -8,7 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from torch import Tensor
 
 from luxloop.loop.report.picture import Mark, draw_marks
 from luxloop.loop.scenario.model import load
@@ -25,7 +24,10 @@ def draw_detections(file: Path, pictures: Sequence[Path], keys: Sequence[str], o
     keys: `detector.KEY=VALUE`. Raises LuxloopError for a file or a picture that cannot be read, before anything is written.
     """
     params = load("flat", [f"detector={{ kind = 'onnx', file = {json.dumps(str(file))} }}", *keys]).detector
-    assert isinstance(params, OnnxParams)
+    if not isinstance(params, OnnxParams):
+        raise LuxloopError(f"detector.kind: {file} is read as an ONNX file; leave detector.kind out")
+    if len(written := {picture: out / f"{picture.stem}-found.png" for picture in pictures}) > len(set(written.values())):
+        raise LuxloopError(f"{out}: pictures of equal names would replace each other; rename them, or detect each by itself")
     greys = [_read(picture) for picture in pictures]
     detector = OnnxDetector(params)
     told = [f"{file}: {detector}"]
@@ -37,11 +39,10 @@ def draw_detections(file: Path, pictures: Sequence[Path], keys: Sequence[str], o
         took_ms = 1000 * (time.perf_counter() - begin)
         drawn = cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB)
         draw_marks(drawn, _marks(found, detector.classes))
-        written = out / f"{picture.stem}-found.png"
         out.mkdir(parents=True, exist_ok=True)
-        atomic_write(written, cv2.imencode(".png", cv2.cvtColor(drawn, cv2.COLOR_RGB2BGR))[1].tobytes())
+        atomic_write(written[picture], cv2.imencode(".png", cv2.cvtColor(drawn, cv2.COLOR_RGB2BGR))[1].tobytes())
         named = ", ".join(f"{detector.classes[int(each.argmax())]} {float(each.max()):.2f}" for each in found.scores) or "nothing"
-        told.append(f"{picture}: {named} in {took_ms:.0f} ms; {written}")
+        told.append(f"{picture}: {named} in {took_ms:.0f} ms; {written[picture]}")
         some |= len(found) > 0
     if pictures and not some:
         told.append("Nothing is found where detector.white, detector.mean or detector.std is wrong, or detector.threshold too high.")
@@ -63,8 +64,4 @@ def _marks(found: Detections, classes: Sequence[str]) -> Iterator[Mark]:
         left, top, right, bottom = box
         corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
         lines = tuple(zip(corners, corners[1:] + corners[:1], strict=True))
-        yield Mark(lines, text=f"{classes[int(scores.argmax())]} {_percent(scores)}", at=(left, top))
-
-
-def _percent(scores: Tensor) -> str:
-    return f"{100 * float(scores.max()):.0f} %"
+        yield Mark(lines, text=f"{classes[int(scores.argmax())]} {100 * float(scores.max()):.0f} %", at=(left, top))

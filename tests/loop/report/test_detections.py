@@ -30,3 +30,9 @@ def test_what_cannot_be_read_leaves_nothing_behind(lux, tmp_path):
     for picture, words in (("road.png", "road.png: is damaged or no picture"), ("none.png", "none.png: cannot be read")):
         code, _, error = lux("detect", params.file, str(tmp_path / picture), "--out", str(tmp_path / "out"))
         assert code == 2 and words in error and not (tmp_path / "out").exists()
+    for more, words in (
+        ((str(tmp_path / "a" / "road.jpg"),), "of equal names"),
+        (("--set", "detector.kind=hog"), "leave detector.kind out"),
+    ):
+        code, _, error = lux("detect", params.file, str(tmp_path / "road.png"), *more, "--out", str(tmp_path / "out"))
+        assert code == 2 and words in error and not (tmp_path / "out").exists()
