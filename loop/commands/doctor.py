@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Literal
 
 PIP = f"{sys.executable} -m pip install"
+EXTRAS = ("dask", "gym", "onnx", "sb3", "studio")
 OPENGL_LIBRARIES = "sudo apt-get install -y libegl1 libgl1 libgl1-mesa-dri"
 
 
@@ -36,6 +37,7 @@ def checks() -> list[Check]:
     return [
         python_check(),
         *package_checks(),
+        extras_check(),
         opengl_check(os.environ),
         ray_caster_check(),
         device_check(),
@@ -83,6 +85,15 @@ def package_checks() -> list[Check]:
     except metadata.PackageNotFoundError:
         return [Check("luxloop", "fail", "not installed", f"{PIP} -e {Path(__file__).parents[3]}")]
     return [package_check(requirement) for requirement in requirements if "extra ==" not in requirement]
+
+
+@_failing_with("extras", f"{PIP} --force-reinstall luxloop")
+def extras_check() -> Check:
+    """Which extras for users have all their packages; a missing one is no fault."""
+    needed = {extra: [each for each in metadata.requires("luxloop") or [] if each.endswith(f'extra == "{extra}"')] for extra in EXTRAS}
+    here = {extra for extra in EXTRAS if all(package_check(each.partition(";")[0]).status == "ok" for each in needed[extra])}
+    found, missing = (",".join(extra for extra in EXTRAS if (extra in here) is wanted) for wanted in (True, False))
+    return Check("extras", "ok", f"{found or 'none'}; {PIP} 'luxloop[{missing}]' adds the others" if missing else found)
 
 
 def package_check(requirement: str) -> Check:

@@ -17,7 +17,7 @@ from luxloop.loop.recording.comparison import Comparison, differences
 from luxloop.loop.recording.manifest import EDITS, MANIFEST, TRAJECTORY, Manifest, table_of
 from luxloop.loop.recording.record import refuse_unknown_columns, row, schema
 from luxloop.loop.scenario.driving import repeat
-from luxloop.loop.scenario.edits import Edit, acts
+from luxloop.loop.scenario.edits import Edit, acts, overrides_between
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.scenario.overrides import TAGS
 from luxloop.loop.simulation.evaluator import Evaluation
@@ -194,12 +194,16 @@ def replay(
 def compare(first: Path | str, second: Path | str) -> Comparison:
     """Compare two recordings of scenarios with the same columns, without running them: differences of the second from the first.
 
+    A note names the keys in which the scenarios differ.
+
     Raises LuxloopError where a recording is damaged, or a column of the second is missing in the first.
     """
     a, b = (load(Path(each)) for each in (first, second))
     features = {name: each.features for name, each in a.scenario.symbols.items()}
     here = columns_of(a.table, b.table.schema, Path(first) / TRAJECTORY, f"compare it with a recording of the same scenario, not {second}")
-    return Comparison(a.table.num_rows, differences(here, b.table, features), tuple(a.manifest.changes(b.manifest)))
+    changed = ", ".join(overrides_between(a.manifest.scenario, b.manifest.scenario))
+    notes = (*([f"the scenario differs: {second} has {changed}"] if changed else []), *a.manifest.changes(b.manifest))
+    return Comparison(a.table.num_rows, differences(here, b.table, features), notes)
 
 
 def columns_of(table: pa.Table, columns: pa.Schema, file: Path, remedy: str = "record the run again") -> pa.Table:

@@ -53,13 +53,14 @@ def with_overrides(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
 
 def differences(before: Scenario, after: Scenario) -> tuple[str, ...]:
     """Overrides that turn one scenario into another. Raises LuxloopError where there are none."""
-    found = tuple(_differences(before.model_dump(mode="json"), after.model_dump(mode="json")))
+    found = tuple(overrides_between(before.model_dump(mode="json"), after.model_dump(mode="json")))
     if with_overrides(before, found) != after:
         raise LuxloopError(f"{after.name}: this change cannot be said in values of keys; open the scenario anew")
     return found
 
 
-def _differences(before: Mapping[str, Any], after: Mapping[str, Any], within: str = "") -> Iterator[str]:
+def overrides_between(before: Mapping[str, Any], after: Mapping[str, Any], within: str = "") -> Iterator[str]:
+    """Overrides that turn one scenario's tables into another's; a missing key is set to {}. within: the key of both tables, with a dot."""
     for key in {**before, **after}:
         old, new, whole = before.get(key), after.get(key), f"{within}{key}"
         if old == new:
@@ -67,7 +68,7 @@ def _differences(before: Mapping[str, Any], after: Mapping[str, Any], within: st
         if new is None:
             yield f"{whole}={{}}"
         elif isinstance(old, dict) and isinstance(new, dict) and all(old.get(tag) == new.get(tag) for tag in TAGS):
-            yield from _differences(old, new, f"{whole}.")
+            yield from overrides_between(old, new, f"{whole}.")
         else:
             yield f"{whole}={toml(new)}"
 

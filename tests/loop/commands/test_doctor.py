@@ -38,6 +38,14 @@ def test_old_python_and_missing_and_old_packages_name_the_command_that_installs_
     assert "torch>=999" in old.found and old.remedy
 
 
+def test_extras_that_are_not_here_are_named_with_the_command_that_adds_them(monkeypatch):
+    assert doctor.extras_check().status == "ok"
+    here = metadata.version
+    monkeypatch.setattr(doctor.metadata, "version", lambda name: here("no-such-package" if name == "stable-baselines3" else name))
+    check = doctor.extras_check()
+    assert check.status == "ok" and "gym" in check.found.partition(";")[0] and "sb3" in check.found.partition("'luxloop[")[2]
+
+
 def test_distribution_that_is_not_installed(monkeypatch):
     monkeypatch.setattr(doctor.metadata, "requires", lambda name: metadata.distribution("no-such-distribution"))
     (check,) = doctor.package_checks()

@@ -89,9 +89,11 @@ def test_recordings_are_compared_without_running(recorded, recording, table):
     assert compare(str(recorded), recording).agrees
     name = of_symbol("y_m")
     pq.write_table(changed(table, name, table[name].to_numpy() + 0.01), recording / "trajectory.parquet")
-    edit(recording / "manifest.json", device="cuda")
+    manifest = json.loads((recording / "manifest.json").read_text())
+    edit(recording / "manifest.json", device="cuda", scenario=manifest["scenario"] | {"seed": 7})
     comparison = compare(recorded, recording)
     assert name in {each.column for each in comparison.differences} and any("cuda" in note for note in comparison.notes)
+    assert f"{recording} has seed=7" in comparison.notes[0]
     pq.write_table(table.drop_columns([name]), recording / "trajectory.parquet")
     with sentence(str(recording), name, str(recorded)):  # the remedy names the other one
         compare(recording, recorded)
