@@ -15,8 +15,7 @@ import torch
 from bench import Laps, interleaved, run, show
 from torch import Tensor
 
-from luxloop.controllers.pixels.jpo_part import PixelGoal, pixel_goal
-from luxloop.controllers.pixels.jpo_solvers import least_error, least_squares
+from luxloop.controllers.pixels.jpo_solvers import PixelGoal, least_error, least_squares, pixel_goal
 from luxloop.controllers.pixels.mrpc import reduce_setpoints
 from luxloop.controllers.pixels.pixel_major import MrpcParams, PixelMajor
 from luxloop.controllers.pixels.primitives import I_V

@@ -18,7 +18,7 @@ import torch
 from bench import Goal, run, show, study
 
 from luxloop import Scenario, Simulation, build_controller, load, prepare
-from luxloop.loop.simulation.causes import projections_by_cause
+from luxloop.loop.simulation.evaluator import projections_by_cause
 from luxloop.loop.simulation.result import StepResult
 from luxloop.perception.birdseye import rectify
 from luxloop.perception.metrics import THRESHOLD, evaluate

@@ -15,8 +15,7 @@ from luxloop.loop.rig.calibration.intrinsics import Corners, lens
 from luxloop.loop.rig.calibration.setups import SimulatedSetup, neighbours, simulated_setup
 from luxloop.loop.rig.simulated.faults import LensParams
 from luxloop.loop.rig.simulated.lens import Lens, distort, undistort
-from luxloop.loop.simulation.build_lamps import mount
-from luxloop.loop.simulation.lamps import lamp_modules
+from luxloop.loop.simulation.lamps import lamp_modules, mount
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.perception.camera import camera_view
 from luxloop.world.headlight import Headlight

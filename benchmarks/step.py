@@ -18,7 +18,7 @@ from baseline_numpy import Baseline, Lap
 from bench import Goal, Laps, medians, run, show
 
 from luxloop import Observation, Simulation, load
-from luxloop.controllers.symbol.sensing.protocol import Projection
+from luxloop.controllers.symbol.sensing.symbol_sensor import Projection
 from luxloop.loop.simulation.result import SimulationState
 from luxloop.perception.camera import expose
 from luxloop.perception.noise import FrameNoise

@@ -12,6 +12,7 @@ from typing import Any
 import pyarrow as pa
 import torch
 
+from luxloop.controllers.functions.commands import BendingParams, LevellingParams
 from luxloop.controllers.symbol.sensing.field import SIDES, cut
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.loop.recording.checks import Checks
@@ -20,12 +21,11 @@ from luxloop.loop.recording.manifest import REPORT, TRAJECTORY, VIDEO, Manifest
 from luxloop.loop.recording.record import refuse_unknown_columns, row
 from luxloop.loop.recording.remedies import target_remedies
 from luxloop.loop.scenario.model import Scenario, load
-from luxloop.loop.scenario.plant import shadow_of
-from luxloop.loop.simulation.commanded import unmoved
+from luxloop.loop.scenario.plant import SimulatedPlantParams, shadow_of
 from luxloop.loop.simulation.controlled import ControlledSymbol
-from luxloop.loop.simulation.digitised import DigitisedPlant, needs_rig
 from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.protocol import Plant
+from luxloop.loop.simulation.simulated import DigitisedPlant, needs_rig
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.arrays import read_parquet
 from luxloop.world.errors import LuxloopError, locate
@@ -156,7 +156,7 @@ def check(scenario: Scenario, device: str = "auto") -> dict[str, Any]:
     (largest illuminance on objects, None if none is visible), and `known` (whether the plant knows the truth).
     """
     simulation = prepare(scenario, device)
-    notes = [*unmoved(scenario), *chain.from_iterable(_cut(name, each) for name, each in simulation.controlled.items())]
+    notes = [*_unmoved(scenario), *chain.from_iterable(_cut(name, each) for name, each in simulation.controlled.items())]
     if isinstance(waiting := simulation.plant, DigitisedPlant):
         simulation, notes = replace(simulation, plant=waiting.night), [needs_rig(waiting.key), *notes]
     return {
@@ -170,6 +170,17 @@ def check(scenario: Scenario, device: str = "auto") -> dict[str, Any]:
         "detector": None if scenario.detector is None else scenario.detector.kind,
         "notes": notes,
     }
+
+
+def _unmoved(scenario: Scenario) -> list[str]:
+    """Notes on functions that only follow the car's motion, if the simulated car stands; else empty."""
+    if scenario.vehicle is not None or not isinstance(scenario.plant, SimulatedPlantParams):
+        return []
+    return [
+        f"functions.{name} ({function.kind}) does nothing, for a car that stands neither turns nor pitches; give a [vehicle] that drives"
+        for name, function in scenario.functions.items()
+        if isinstance(function, BendingParams) or (isinstance(function, LevellingParams) and not function.entries)
+    ]
 
 
 def _cut(name: str, symbol: ControlledSymbol) -> list[str]:

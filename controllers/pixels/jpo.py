@@ -11,8 +11,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from luxloop.controllers.pixels.jpo_part import PixelGoal, pixel_goal, reaching
-from luxloop.controllers.pixels.jpo_solvers import least_error, least_squares
+from luxloop.controllers.pixels.jpo_solvers import PixelGoal, least_error, least_squares, pixel_goal, reaching
 from luxloop.controllers.pixels.pixel_major import MrpcParams
 from luxloop.controllers.pixels.primitives import E_V, I_V, U_REL, Primitives
 from luxloop.controllers.pixels.secondary import SecondaryRays

@@ -6,8 +6,7 @@ from luxloop.controllers.symbol.feedback import Feedback, GaussNewtonParams, Mod
 from luxloop.controllers.symbol.heights.feedforward import Feedforward, FeedforwardParams, MeasuringFeedforward, OpenLoop, OpenLoopParams
 from luxloop.controllers.symbol.heights.height_controller import HeightController, HeightControllerParams
 from luxloop.controllers.symbol.sensing.projector import StartParams
-from luxloop.controllers.symbol.sensing.protocol import SymbolController
-from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolController, SymbolSensor
 from luxloop.controllers.symbol.stages import OwnParams, StagedParams, own_controller, with_stages
 from luxloop.world.plugin import KnownOrOwn
 

@@ -14,8 +14,7 @@ from torch import Tensor
 
 from luxloop.controllers.pid import PidGains, PidParams, PidState, pid_gains, pid_reset, pid_step
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.controllers.symbol.sensing.protocol import Observation
-from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.controllers.symbol.sensing.symbol_sensor import Observation, SymbolSensor
 from luxloop.controllers.symbol.stages import StagedParams
 from luxloop.perception import appearance
 from luxloop.perception.egomotion import Ego

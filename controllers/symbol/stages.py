@@ -12,8 +12,7 @@ from torch import Tensor
 
 from luxloop.controllers.symbol.alignment import Alignment, Kind, Placement
 from luxloop.controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
-from luxloop.controllers.symbol.sensing.protocol import Observation, SymbolController
-from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.controllers.symbol.sensing.symbol_sensor import Observation, SymbolController, SymbolSensor
 from luxloop.perception.egomotion import Ego
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world import plugin

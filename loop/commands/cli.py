@@ -295,7 +295,7 @@ def run(
     set = [*(set or ()), *([] if view is None else [f"video.view={view}"]), *map(_probe, probe or ())]
     scenario = scenario_of(name, set, controller, itself, allow_code, **given)
     if scenario.digitised_module is not None and rig is None and plant is None:
-        from luxloop.loop.simulation.digitised import needs_rig
+        from luxloop.loop.simulation.simulated import needs_rig
 
         raise LuxloopError(f"{scenario.source}: {needs_rig(f'modules.{scenario.digitised_module}')}")
     from luxloop.loop.commands.runs import run_scenario

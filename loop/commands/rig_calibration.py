@@ -321,8 +321,7 @@ def fit(
 def _setup(scenario: "Scenario", rig: Path | None, allow_code: bool) -> Iterator[tuple["Setup", tuple["LampModule", ...]]]:
     """The lit rig, or without a rig file the scenario's simulated world, and the modules that shine."""
     from luxloop.loop.rig.calibration.setups import simulated_setup
-    from luxloop.loop.simulation.build_lamps import mount
-    from luxloop.loop.simulation.lamps import lamp_modules
+    from luxloop.loop.simulation.lamps import lamp_modules, mount
 
     modules = lamp_modules(mount(scenario.headlight))
     if rig is None:

@@ -92,8 +92,8 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
     from luxloop.loop.rig.calibration.pictures import draw_beam
     from luxloop.loop.rig.live.plant import live_plant, refuse_unfit
     from luxloop.loop.scenario.plant import SimulatedPlantParams
-    from luxloop.loop.simulation.build_lamps import mount
-    from luxloop.loop.simulation.digitised import digitised_number
+    from luxloop.loop.simulation.lamps import mount
+    from luxloop.loop.simulation.simulated import digitised_number
 
     file, armed, allow_code = rig_file
     params = read_rig(file, allow_code)
@@ -136,7 +136,7 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
 def pixel_grids(scenario: "Scenario") -> "Grids":
     """Rows and columns of the pixels of the scenario's modules."""
     from luxloop.loop.rig.arrays import grids_of
-    from luxloop.loop.simulation.build_lamps import mount
+    from luxloop.loop.simulation.lamps import mount
 
     with locate(scenario.source):
         return grids_of(mount(scenario.headlight))

@@ -7,10 +7,12 @@ from typing import Any
 import pyarrow as pa
 import torch
 
+from luxloop.controllers.functions.commands import MOVEMENTS, CommandParams
+from luxloop.controllers.functions.planner import Planner
 from luxloop.loop.recording.checks import baselines
 from luxloop.loop.simulation.columns import AIM, CAUSES, CENTROIDS, CUT, ERRORS, LOOKING_OF_TRUTH, POSE, PROJECTION, SYMBOL, loss_name
-from luxloop.loop.simulation.commanded import moved
 from luxloop.loop.simulation.evaluator import Evaluation, SymbolStep
+from luxloop.loop.simulation.lamps import ShiningModule
 from luxloop.loop.simulation.light_figures import quantities
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.metrics import Metrics
@@ -146,7 +148,7 @@ def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
     columns |= {f"functions.{name}.{key}": of for name in simulation.controlled for key, of in (SYMBOL | causes).items()}
     if simulation.truth is not None:
         columns |= {f"functions.{name}.{key}": of for name in simulation.scenario.projections for key, of in PROJECTION.items()}
-    columns |= {f"modules.{module}.{key}": MODULE[key] for module, key in moved(simulation.planner, simulation.modules)}
+    columns |= {f"modules.{module}.{key}": MODULE[key] for module, key in _moved(simulation.planner, simulation.modules)}
     if simulation.truth is not None:
         columns |= {f"probes.{name}.lx": PROBE for name in simulation.scenario.probes}
         eyes = [name for name, probe in simulation.scenario.probes.items() if probe.adaptation_cd_m2 is not None]
@@ -163,6 +165,18 @@ def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
         pa.field(name, TYPES.get(name.rpartition(".")[2], pa.float64()), metadata={"unit": unit, "description": text})
         for name, (unit, text) in columns.items()
     )
+
+
+def _moved(planner: Planner, modules: Sequence[ShiningModule]) -> list[tuple[str, str]]:
+    """Commanded modules and their movements. A user's function may command every movement of every module."""
+
+    def of(function: object, module: ShiningModule, movement: str) -> bool:
+        return not isinstance(function, CommandParams) or (movement in function.movements and function.moves(module))
+
+    functions = planner.commanding.values()
+    return [
+        (module.name, movement) for module in modules for movement in MOVEMENTS if any(of(each, module, movement) for each in functions)
+    ]
 
 
 def row(result: Evaluation) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from luxloop.loop.report.styles import check_out, style_of
 from luxloop.loop.report.terminal import plural
 from luxloop.loop.report.views import SIDES, LitCar, Road, beside, birdseye, driver, grey, picture
 from luxloop.loop.scenario.model import HeadlightParams, Scenario
-from luxloop.loop.simulation.build_lamps import turn_part
+from luxloop.loop.simulation.lamps import turn_part
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from luxloop.loop.report.facts import lit_deg
 from luxloop.loop.scenario.model import HeadlightParams
-from luxloop.loop.simulation.build_lamps import T_world_lamp
+from luxloop.loop.simulation.lamps import T_world_lamp
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import whole
 from luxloop.world.headlight.lamp import Lamp, direction

@@ -19,11 +19,10 @@ from luxloop.loop.recording.functions_summary import plain_name
 from luxloop.loop.recording.video import Picture, tone_map
 from luxloop.loop.scenario.model import HeadlightParams
 from luxloop.loop.scenario.plant import shadow_of
-from luxloop.loop.simulation.build_lamps import T_world_reference
 from luxloop.loop.simulation.columns import loss_name
 from luxloop.loop.simulation.detection import name_of
 from luxloop.loop.simulation.evaluator import Evaluation, FrameDetections, SymbolStep
-from luxloop.loop.simulation.lamps import ShiningModule, under
+from luxloop.loop.simulation.lamps import ShiningModule, T_world_reference, under
 from luxloop.loop.simulation.road_metrics import SymbolEvaluator
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.birdseye import rectify

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from luxloop.loop.scenario.model import HeadlightParams, Scenario, validate
-from luxloop.loop.simulation.build_lamps import T_world_lamp, T_world_reference
-from luxloop.loop.simulation.build_scene import build_scene
+from luxloop.loop.simulation.lamps import T_world_lamp, T_world_reference
+from luxloop.loop.simulation.simulated import build_scene
 from luxloop.world.frames import R_ISO_OPENCV, View, pose, pose_from_degrees
 from luxloop.world.headlight.lamp import Commands, Lamp, direction
 from luxloop.world.headlight.matrix import LUMINANCE

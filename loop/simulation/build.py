@@ -10,16 +10,14 @@ from luxloop.controllers.pixels.secondary import PotentialLight
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.plant import RecordedPlantParams, RemotePlantParams, RigPlantParams, SimulatedPlantParams
 from luxloop.loop.scenario.shipped import find_file
-from luxloop.loop.simulation.build_lamps import mount, shining_module
-from luxloop.loop.simulation.build_symbols import build_symbols
 from luxloop.loop.simulation.check import check, check_truth
 from luxloop.loop.simulation.clock import FromZero
+from luxloop.loop.simulation.controlled import build_symbols
 from luxloop.loop.simulation.detection import DetectionPipeline
-from luxloop.loop.simulation.digitised import digitised_plant
-from luxloop.loop.simulation.lamps import lamp_modules
+from luxloop.loop.simulation.lamps import lamp_modules, mount, shining_module
 from luxloop.loop.simulation.part_cache import PartCache
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Plant
-from luxloop.loop.simulation.simulated import simulated_plant
+from luxloop.loop.simulation.simulated import digitised_plant, simulated_plant
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.perception.camera import camera_view
 from luxloop.world import plugin

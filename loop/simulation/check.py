@@ -11,9 +11,8 @@ from luxloop.controllers.pixels.primitives import names_module
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
 from luxloop.loop.scenario.model import Scenario, object_names
 from luxloop.loop.scenario.plant import RecordedPlantParams, SimulatedPlantParams, shadow_of
-from luxloop.loop.simulation.build_lamps import drawing_modules
 from luxloop.loop.simulation.columns import of_truth
-from luxloop.loop.simulation.lamps import MountedModule
+from luxloop.loop.simulation.lamps import MountedModule, drawing_modules
 from luxloop.loop.simulation.truth import true_camera
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.detection.detector import TruthParams

@@ -16,11 +16,13 @@ from luxloop.controllers.functions.animations import animate
 from luxloop.controllers.functions.planner import Plan, Planner
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.situation import Situation
+from luxloop.controllers.symbol.heights.feedforward import height_map_of, region_around
+from luxloop.controllers.symbol.heights.height_map import Belief
 from luxloop.controllers.symbol.sensing.field import cut
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.road_shape import HERE
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.scenario.model import Scenario, only
-from luxloop.loop.simulation.causes import projections_by_cause
 from luxloop.loop.simulation.columns import MOTION
 from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.detection import DetectionPipeline, Recognition, false_positives, name_of, recognise
@@ -49,9 +51,35 @@ from luxloop.perception.detection.detector import Detections
 from luxloop.perception.eye import threshold_increment
 from luxloop.perception.metrics import Metrics, evaluate
 from luxloop.perception.tracking import TrackedBoxes
+from luxloop.world.frames import inverse, transform
 from luxloop.world.headlight.lamp import Commands
 from luxloop.world.regulation import Result
-from luxloop.world.scene.vehicle import STANDING, VehiclePath
+from luxloop.world.roads.base import Road
+from luxloop.world.scene.vehicle import STANDING, VehiclePath, VehicleState
+
+
+def projections_by_cause(
+    symbol: ControlledSymbol, belief: Belief | None, vehicle: VehicleState, road: Road
+) -> dict[str, ProjectionCommand]:
+    """Projections by column of `luxloop.loop.simulation.columns.CAUSES`: in open loop, and of a belief with pose, road and both made true.
+
+    belief: of the controller; None: pose and road cannot be made true one by one. vehicle: the true one.
+    """
+    plane = HERE if belief is None else belief.T_ground_plane
+    region = region_around(symbol.sensor) if belief is None else belief.relief.region
+    projector, pose = symbol.projector, vehicle.T_ground_body
+    true_eye = transform(inverse(plane) @ pose, projector.eye[:, None].to(pose))[:, 0]
+
+    def seen_from(eye: Tensor) -> Belief:
+        relief = height_map_of(road.z, region, eye, T_ground_plane=vehicle.T_world_ground @ plane)
+        return Belief(relief, plane, pose)
+
+    drawn = {"iou_open": ProjectionCommand(projector.target), "iou_true": seen_from(true_eye).draw(projector)}
+    if belief is not None:
+        drawn["iou_true_pose"] = replace(belief, T_ground_body=pose).draw(projector)
+        drawn["iou_true_road"] = replace(seen_from(belief.relief.eye), T_ground_body=belief.T_ground_body).draw(projector)
+    return drawn
+
 
 UNKNOWN = torch.tensor(math.nan)
 

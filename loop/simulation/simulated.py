@@ -1,16 +1,19 @@
-"""The simulated world as a plant."""
+"""The simulated world as a plant: its road, scene and motion, and a module whose light may be measured on a real lamp."""
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from typing import Any, Final
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from luxloop.controllers.pixels.primitives import names_module
+from luxloop.loop.scenario import data
 from luxloop.loop.scenario.disturbances import UNDISTURBED, DisturbanceParams
 from luxloop.loop.scenario.model import Scenario
-from luxloop.loop.simulation.build_scene import build_motion, build_scene
 from luxloop.loop.simulation.part_cache import PartCache
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Plant
 from luxloop.loop.simulation.truth import LampModule, true_camera, true_modules
@@ -21,8 +24,58 @@ from luxloop.perception.noise import FrameNoise
 from luxloop.perception.sensors import EXACT, SensorParams, Sensors
 from luxloop.world.caches import Part
 from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight
+from luxloop.world.materials.library import SpottedTexture
 from luxloop.world.rendering.surfaces import FirstFound, face_source
-from luxloop.world.scene.vehicle import STANDING, LateBody, Motion
+from luxloop.world.roads.base import Road
+from luxloop.world.roads.scan import OpenCrgRoad
+from luxloop.world.scene.body import Body, Figure
+from luxloop.world.scene.ground import AROUND_M, SIGHT_M, RoadPatches, RoadTiles, StandingRoad
+from luxloop.world.scene.scene import Ground, Scene
+from luxloop.world.scene.vehicle import STANDING, LateBody, Motion, drive
+from luxloop.world.traffic.objects import ObjectParams
+
+
+def find_road(road: Road) -> Road:
+    """A road with the path of its file on this machine. Raises LuxloopError for a missing file."""
+    return road.model_copy(update={"file": data.locate(road.file)}) if isinstance(road, OpenCrgRoad) else road
+
+
+def build_motion(scenario: Scenario, cache: PartCache) -> Motion:
+    """Vehicle motion, one step longer than the scenario, with the body delay of a digitised module.
+
+    Raises LuxloopError for a missing or broken file.
+    """
+    if (vehicle := scenario.vehicle) is None:
+        return STANDING
+    rate_hz, key = scenario.rate_hz, (vehicle, find_road(scenario.road), (scenario.steps + 1) / scenario.rate_hz)
+    motion = cache("motion", lambda *_: drive(*key, cache.before("motion", STANDING)), *key)
+    late = max((each.late_steps(rate_hz) for each in scenario.modules.values() if each.delay_body), default=0)
+    return LateBody.behind(motion, late / rate_hz) if late else motion
+
+
+def build_scene(scenario: Scenario, motion: Motion = STANDING, cache: PartCache | None = None) -> Scene:
+    """Road along the vehicle's course, and objects. Raises LuxloopError for a missing or broken file."""
+    cache, vehicle, road, albedo = cache or PartCache(), scenario.vehicle, find_road(scenario.road), scenario.surface.albedo
+    texture = cache("texture", SpottedTexture, scenario.surface, scenario.spots, motion is not STANDING)
+    objects = tuple(cache(f"object {item.name}", _object, item, road) for item in scenario.all_objects)
+    sight_m = SIGHT_M if scenario.traffic is None else max(SIGHT_M, scenario.traffic.sight_m + AROUND_M)
+    ground: Ground
+    if motion is STANDING:
+        ground = cache("ground", StandingRoad, road, albedo, texture)
+    elif vehicle is not None and vehicle.roams:
+        ground = cache("ground", lambda *_: RoadPatches(road, albedo, texture, sight_m=sight_m), road, albedo, texture, sight_m)
+    else:
+        others_y_m = tuple(y for each in objects for y in each.track.T_world_body[:, 1, 3].tolist())
+        tiles = partial(RoadTiles, others_y_m=others_y_m, sight_m=sight_m)
+        ground = cache("ground", lambda *key: tiles(*key[:4]), road, motion.range_y_m, albedo, texture, others_y_m, sight_m)
+    return cache("scene", Scene, (ground, *objects), scenario.light.ambient_lx, scenario.light.street_lamps)
+
+
+def _object(item: ObjectParams, road: Road) -> Body | Figure:
+    body = item.build()
+    return replace(body, track=replace(body.track, road=road, wheels_m=item.wheels_m)) if item.on_road else body
+
 
 LOSS_KEY, LATENCY_KEY = 2, 4  # random streams of a step, separate from the noise of frames and sensors
 
@@ -154,3 +207,75 @@ def world_plant(plant: Plant, asked: str) -> SimulatedPlant:
     if not isinstance(plant, SimulatedPlant):
         raise LuxloopError(f'{asked}: needs the simulated world; set plant.kind = "simulated", and digitise no module')
     return plant
+
+
+KEPT: Final = 8  # number of stored light textures; on and off exposures alternate
+
+
+class MeasuredTextures:
+    """Measured light textures of a real lamp for its last utilisations; computed ones of a headlight for any other utilisation."""
+
+    def __init__(self, headlight: Headlight) -> None:
+        self._headlight, self._kept = headlight, deque[tuple[Tensor, Tensor]](maxlen=KEPT)
+
+    def keep(self, utilisation: Tensor, texture: Tensor) -> None:
+        """Store a measurement. utilisation: `[n_p]`, as shown. texture: `[rows, cols]` cd, as measured."""
+        self._kept.append((utilisation, texture.to(utilisation)))
+
+    def light_texture(self, utilisation: Tensor, band: slice | None = None) -> Tensor:
+        """Luminous intensity `[..., rows, cols]` in cd of a utilisation `[..., n_p]`."""
+        for shown, texture in reversed(self._kept):
+            if shown is utilisation or torch.equal(shown, utilisation):
+                return texture
+        return self._headlight.light_texture(utilisation, band)
+
+
+@dataclass(frozen=True, eq=False)
+class DigitisedPlant:
+    """A simulated world awaiting a lamp from `luxloop run --rig`. It can be inspected, but not started.
+
+    key: of the module in the scenario. number: index of the module. measured: its light textures. late: delay of its light in exposures.
+    """
+
+    night: SimulatedPlant
+    key: str
+    number: int
+    measured: MeasuredTextures
+    late: int
+
+    @property
+    def truth(self) -> World:
+        """The true world."""
+        return self.night.world
+
+    def start(self) -> tuple[Any, Arrivals]:
+        """Raises LuxloopError."""
+        raise LuxloopError(needs_rig(self.key))
+
+    def show(self, state: Any, exposure: Exposure) -> tuple[Any, Arrivals]:
+        """Raises LuxloopError."""
+        return self.start()
+
+
+def needs_rig(key: str) -> str:
+    """Error text: the scenario needs a rig. key: of the digitised module in the scenario."""
+    return f"{key}: is digitised from a real lamp; run it with `luxloop run NAME --rig FILE`, or play a recording of it with --plant"
+
+
+def digitised_plant(scenario: Scenario, modules: Sequence[LampModule], cache: PartCache | None = None) -> DigitisedPlant:
+    """The plant of a scenario with a digitised module. Raises LuxloopError as `digitised_number` and `simulated_plant`."""
+    number = digitised_number(scenario, [each.name for each in modules])
+    measured = MeasuredTextures(modules[number].headlight)
+    shining = [replace(each, measured=measured) if k == number else each for k, each in enumerate(modules)]
+    late = max(each.late_steps(scenario.rate_hz) for each in scenario.modules.values()) * len(scenario.shares)
+    return DigitisedPlant(simulated_plant(scenario, shining, cache), f"modules.{scenario.digitised_module}", number, measured, late)
+
+
+def digitised_number(scenario: Scenario, names: Sequence[str]) -> int:
+    """Index of the digitised module among the names of shining modules. Raises LuxloopError unless exactly one has its name."""
+    name = scenario.digitised_module or ""
+    found = [k for k, each in enumerate(names) if names_module([name], each)]
+    if len(found) != 1:
+        told = f"{len(found)} modules are called {name!r}" if found else f"there is no module {name!r}"
+        raise LuxloopError(f"modules.{name}: {told}; name one of {', '.join(names)}")
+    return found[0]

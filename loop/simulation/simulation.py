@@ -17,8 +17,7 @@ from luxloop.controllers.pixels.secondary import PotentialLight
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.situation import CameraImage, ScheduleParams, Situation, TrackedObject
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.controllers.symbol.sensing.protocol import SymbolController
-from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, SymbolController
 from luxloop.loop.scenario.checks import Baseline
 from luxloop.loop.scenario.model import Scenario, only
 from luxloop.loop.scenario.studio_window import StudioWindow

@@ -1,5 +1,8 @@
-"""Report of a campaign as Markdown: means with intervals, paired comparisons, limits of the controllers, pictures, and failed runs."""
+"""Report of a campaign as Markdown: means with bootstrap intervals, paired tests corrected for their number, limits of the controllers,
+pictures, and failed runs.
+"""
 
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,16 +13,58 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from matplotlib.axes import Axes
 from rich.table import Table
+from scipy import stats
 
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.report.style import DEFAULTS, drawing
 from luxloop.loop.run import torch_device
 from luxloop.loop.studies.campaign import TABLE, TRAJECTORIES, Row, run_campaign
 from luxloop.loop.studies.jobs import Results, dask, local
-from luxloop.loop.studies.statistics import Mean, compare_pairs, holm, mean
 from luxloop.world.arrays import read_parquet
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import atomic_write
+
+CONFIDENCE = 0.95
+RESAMPLES = 5000
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A mean, and its 95 % interval by the bootstrap's percentiles (Efron 1979); both ends are the mean for a single value."""
+
+    value: float
+    low: float
+    high: float
+
+
+def mean(values: Sequence[float]) -> Mean:
+    """Mean of at least one value."""
+    value = float(np.mean(values))
+    if len(values) < 2:
+        return Mean(value, value, value)
+    found = stats.bootstrap(
+        (np.asarray(values, float),), np.mean, confidence_level=CONFIDENCE, n_resamples=RESAMPLES, method="percentile", rng=0
+    )
+    return Mean(value, float(found.confidence_interval.low), float(found.confidence_interval.high))
+
+
+def compare_pairs(first: Sequence[float], second: Sequence[float]) -> tuple[Mean, float]:
+    """Mean of the differences second - first of runs in pairs, and p of the two-sided signed-rank test (Wilcoxon 1945)."""
+    differences = np.subtract(second, first)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # all differences are zero
+        p = float(stats.wilcoxon(differences).pvalue) if differences.any() else 1.0
+    return mean(differences.tolist()), p
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """Values of p of several tests, corrected for their number (Holm 1979)."""
+    order = np.argsort(p)
+    stepped = np.maximum.accumulate(np.asarray(p)[order] * np.arange(len(p), 0, -1))
+    corrected = np.empty(len(p))
+    corrected[order] = stepped.clip(max=1.0)
+    return corrected.tolist()
+
 
 REPORT, PICTURE, RESPONSES = "report.md", "report.png", "responses.png"
 MOST_PANELS = 6  # columns of the picture of responses

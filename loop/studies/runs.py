@@ -1,4 +1,4 @@
-"""Runs as rows of plain figures without files, one by one or in batches, for campaigns and tuning."""
+"""Runs as rows of plain figures without files, one by one or in batches, for campaigns and tuning; and the response of a held symbol."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
@@ -19,12 +20,12 @@ from luxloop.controllers.symbol.stages import RoadStage, StagedParams
 from luxloop.loop.recording.functions_summary import summary_of
 from luxloop.loop.recording.manifest import digests, table_of
 from luxloop.loop.recording.record import row, schema
-from luxloop.loop.recording.response import effort, response
+from luxloop.loop.recording.summary import AXES, LEAST_START_PERCENT, Summary, column, steps_with_metrics
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import Scenario, only
 from luxloop.loop.scenario.plant import SimulatedPlantParams
-from luxloop.loop.simulation.build_symbols import build_symbol_controller
 from luxloop.loop.simulation.columns import of_one
+from luxloop.loop.simulation.controlled import build_symbol_controller
 from luxloop.loop.simulation.evaluator import Evaluation, SymbolStep
 from luxloop.loop.simulation.lamps import LampPower, mean_powers
 from luxloop.loop.simulation.result import Rollout
@@ -35,6 +36,52 @@ from luxloop.loop.studies.batch.rollouts import loops, stack_laws
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.perception.metrics import Metrics
 from luxloop.world.errors import LuxloopError
+
+RISEN = 0.1  # share of the initial error at which a response has risen
+LEAST_WAY_M = 0.05  # of a pose whose effort counts
+DARK_PERCENT = 100.0  # error on the road in a step without light
+
+
+def response(table: pa.Table) -> Summary:
+    """Figures of one symbol's columns (`luxloop.loop.simulation.columns.of_one`): None where a value does not exist.
+
+    road: of the centroid's distance from its target in % of the symbol's size, in evaluated steps; 100 in those without light. camera: of
+    the measured distance in m (`pose_error_x_m`, `pose_error_y_m`), in steps with a measurement. Each has iae, itae and ise, the integrals
+    of |e|, t |e| and e^2 over time in s; rise_s, the time until |e| is at most a tenth of that of the first step; and peak, the largest |e|
+    from then on.
+    """
+    evaluated = steps_with_metrics(table)
+    away = np.hypot(*(column(evaluated, axis) for axis in AXES))
+    measured = np.hypot(column(table, "pose_error_x_m"), column(table, "pose_error_y_m"))
+    seen = np.isfinite(measured)
+    return {
+        "road": _of_error(column(evaluated, "time_s"), np.nan_to_num(away, nan=DARK_PERCENT), LEAST_START_PERCENT),
+        "camera": _of_error(column(table, "time_s")[seen], measured[seen], 0.0),
+    }
+
+
+def effort(table: pa.Table) -> float | None:
+    """Length of the path of a symbol's pose along x and y, relative to the way from its first to its last pose; None without a way."""
+    places = np.stack([column(table, "x_m"), column(table, "y_m")], -1)
+    way = float(np.linalg.norm(places[-1] - places[0])) if len(places) else 0.0
+    return float(np.linalg.norm(np.diff(places, axis=0), axis=-1).sum()) / way if way > LEAST_WAY_M else None
+
+
+def _of_error(times_s: NDArray[np.floating], error: NDArray[np.floating], least_start: float) -> Summary:
+    """Figures of an error `[steps]` >= 0. least_start: initial error up to which there is no rise."""
+    if not len(error):
+        return dict.fromkeys(("iae", "itae", "ise", "rise_s", "peak"))
+    since_s = times_s - times_s[0]
+    risen = np.flatnonzero(error <= RISEN * error[0])
+    rises = len(risen) > 0 and error[0] > least_start
+    return {
+        "iae": float(np.trapezoid(error, since_s)),
+        "itae": float(np.trapezoid(since_s * error, since_s)),
+        "ise": float(np.trapezoid(error**2, since_s)),
+        "rise_s": float(since_s[risen[0]]) if rises else None,
+        "peak": float(error[risen[0] :].max()) if rises else None,
+    }
+
 
 Figures = dict[str, float | str | None]
 WORST = {  # figures of held symbols, with the function that picks the worst of several
@@ -55,7 +102,7 @@ def figures(scenario: Scenario, device: str = "auto") -> Figures:
     """Figures of a scenario's run: its summary, flat, such as `lamps.left.flux_lm_mean`; None for a value that does not exist.
 
     flux_lm_mean is that of all lamps, utilisation_mean that of all pixels over all steps. Of each held symbol, residual_percent is the
-    final centroid error in percent of the symbol's size, response and effort are as in `luxloop.loop.recording.response`; the figures in
+    final centroid error in percent of the symbol's size, response and effort are as in `luxloop.loop.studies.runs`; the figures in
     `WORST` also exist without a name, for the worst symbol. With a detector there are confidence_final_mean and confidence_final_min, over
     the objects in sight at the end. Times are left out, so that a scenario always gives the same figures. Raises LuxloopError if the
     scenario cannot run.

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from luxloop.loop.report.picture import WALL_M
-from luxloop.loop.simulation.build_lamps import T_world_reference
+from luxloop.loop.simulation.lamps import T_world_reference
 from luxloop.loop.studio.messages import AskMeter
 from luxloop.loop.studio.runs import Run, matrix
 from luxloop.loop.studio.snapshot import bodies_at

@@ -25,9 +25,8 @@ from luxloop.loop.run import prepare
 from luxloop.loop.scenario.driving import repeat
 from luxloop.loop.scenario.edits import ACTS, Edit, differences, replaces
 from luxloop.loop.scenario.model import Scenario
-from luxloop.loop.simulation.build_lamps import T_world_lamp
 from luxloop.loop.simulation.evaluator import Evaluation
-from luxloop.loop.simulation.lamps import lamp_modules
+from luxloop.loop.simulation.lamps import T_world_lamp, lamp_modules
 from luxloop.loop.simulation.protocol import close_plant
 from luxloop.loop.simulation.redrawn import lights_without_paint, mask_limits
 from luxloop.loop.simulation.result import SimulationState

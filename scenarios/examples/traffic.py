@@ -13,7 +13,7 @@ from typing import TypeVar
 import cv2
 
 from luxloop import load, prepare, validate
-from luxloop.loop.simulation.build_scene import build_scene
+from luxloop.loop.simulation.simulated import build_scene
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.ground_truth import ground_truth
 from luxloop.world.rendering.surfaces import ExactSurfaces, face_source, surface_source

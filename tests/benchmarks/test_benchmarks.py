@@ -18,8 +18,7 @@ import spmv
 import step
 from ground import AHEAD_M, STRAIGHT_M, hills, squares_mm2
 
-from luxloop.controllers.pixels.jpo_part import pixel_goal
-from luxloop.controllers.pixels.jpo_solvers import least_error
+from luxloop.controllers.pixels.jpo_solvers import least_error, pixel_goal
 from luxloop.loop.studio.page import PAGE
 from luxloop.world.lamps.patterns import RECTANGLES
 from luxloop.world.lamps.presets import lamp

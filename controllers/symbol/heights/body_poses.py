@@ -6,8 +6,8 @@ from typing import Final
 from torch import Tensor
 
 from luxloop.controllers.symbol.heights.body_filter import BodyFilter, exact
-from luxloop.controllers.symbol.sensing.protocol import Observation
 from luxloop.controllers.symbol.sensing.road_shape import HERE
+from luxloop.controllers.symbol.sensing.symbol_sensor import Observation
 from luxloop.perception.egomotion import Ego
 from luxloop.world.frames import inverse
 from luxloop.world.scene.vehicle import ground_pose

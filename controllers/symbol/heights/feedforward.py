@@ -16,9 +16,8 @@ from luxloop.controllers.symbol.heights.height_controller import region_of
 from luxloop.controllers.symbol.heights.height_map import Belief, HeightMap
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
-from luxloop.controllers.symbol.sensing.protocol import Observation
 from luxloop.controllers.symbol.sensing.road_shape import HERE, tangent_plane
-from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.controllers.symbol.sensing.symbol_sensor import Observation, SymbolSensor
 from luxloop.perception.birdseye import Region, cells
 from luxloop.perception.camera import camera_view
 from luxloop.perception.egomotion import Ego

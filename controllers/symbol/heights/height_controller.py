@@ -18,9 +18,8 @@ from luxloop.controllers.symbol.heights.road_map import RoadMap
 from luxloop.controllers.symbol.sensing.field import aim, elsewhere
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
-from luxloop.controllers.symbol.sensing.protocol import Observation
 from luxloop.controllers.symbol.sensing.road_shape import HERE, pose_of_rectangle, ray_lengths
-from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.controllers.symbol.sensing.symbol_sensor import Observation, SymbolSensor
 from luxloop.perception.birdseye import Region
 from luxloop.perception.camera import camera_view
 from luxloop.perception.egomotion import Ego

@@ -1,8 +1,11 @@
-"""The symbol sensor: from frames to errors of the symbol's four degrees of freedom (T 9.4.1), or the reason of its loss."""
+"""The symbol sensor: from frames to errors of the symbol's four degrees of freedom (T 9.4.1), or the reason of its loss; and the
+protocol of the controllers that get them.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -14,6 +17,7 @@ from luxloop.controllers.symbol.sensing.projector import Projector
 from luxloop.controllers.symbol.sensing.relocalisation import Relocalisation, Relocaliser
 from luxloop.perception.appearance import Appearance, error_indices, errors
 from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.perception.egomotion import Ego
 from luxloop.perception.extraction import Extraction, ExtractionStatus, difference, gate, symbol_image, threshold
 from luxloop.world.texels import NOWHERE, Window
 
@@ -144,3 +148,48 @@ class SymbolSensor:
         nothing = Appearance(nan[..., 0], pose.new_full((*batch, 5, 2), torch.nan), nan[..., 0], nan[..., 0])
         code = torch.full(batch, reason, dtype=torch.int64, device=pose.device)
         return Measurement(code, nan, nan, torch.zeros_like(nan[..., 0]), nothing, pose.new_zeros(*batch, 0, 0), NOWHERE)
+
+
+@dataclass(frozen=True)
+class Projection:
+    """The light of a step.
+
+    projection: command of the symbol. lights: utilisations, one a module. ego: vehicle motion for which the command was drawn, None for a
+    standing vehicle.
+    """
+
+    projection: ProjectionCommand
+    lights: tuple[Utilisation, ...]
+    ego: Ego | None = None
+
+
+@dataclass(frozen=True)
+class Observation:
+    """The controller's input in a step.
+
+    measurement: features and errors of the symbol. frames: on and off frame `[height, width]`, digital numbers; None if lost or not yet
+    arrived. shown: the light in these frames, older than this step if the camera has latency. ego: present vehicle motion, None for a
+    standing vehicle. latency_steps: measured latency, the number of steps from the exposure of the frames to this step.
+    """
+
+    measurement: Measurement
+    frames: tuple[Tensor, Tensor] | None
+    shown: Projection
+    ego: Ego | None = None
+    latency_steps: int = 0
+
+
+class SymbolController(Protocol):
+    """Holds a symbol by projection commands; its state is a frozen dataclass of tensors."""
+
+    def start(self, pose: Tensor) -> Any:
+        """The initial state, whose command shows the pose `[..., 4]` (x, y in m, roll, pitch in rad)."""
+        ...
+
+    def projection(self, state: Any, ego: Ego | None) -> ProjectionCommand:
+        """The next command. ego: present vehicle motion, newer than the last observation, or None."""
+        ...
+
+    def step(self, state: Any, observation: Observation) -> Any:
+        """The state after one observation."""
+        ...

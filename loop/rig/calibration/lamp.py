@@ -14,7 +14,7 @@ from luxloop.loop.rig.calibration.setups import neighbours
 from luxloop.loop.rig.calibration.shapes import REACH, PixelMeasurements, borders
 from luxloop.loop.rig.calibration.structured_light import Chart
 from luxloop.loop.scenario.model import Scenario
-from luxloop.loop.simulation.build_lamps import mount
+from luxloop.loop.simulation.lamps import mount
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp

@@ -23,9 +23,8 @@ from luxloop.loop.rig.calibration.pictures import draw_twin
 from luxloop.loop.rig.matching import mark_surroundings
 from luxloop.loop.rig.params import MarkParams
 from luxloop.loop.scenario.model import Scenario
-from luxloop.loop.simulation.build_lamps import mount
 from luxloop.loop.simulation.frames import image_file, light_file, read_image, read_light, twin_file, write_image
-from luxloop.loop.simulation.lamps import lamp_modules
+from luxloop.loop.simulation.lamps import lamp_modules, mount
 from luxloop.loop.simulation.part_cache import PartCache
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.recorded import inside, recorded_rows

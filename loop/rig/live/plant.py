@@ -34,9 +34,8 @@ from luxloop.loop.rig.plant import RigPlant
 from luxloop.loop.rig.rectification import AS_SENT, WrongPicture, camera_picture
 from luxloop.loop.rig.rig import Rig, TimeHistogram
 from luxloop.loop.rig.wire.sockets import udp_sender
-from luxloop.loop.simulation.digitised import DigitisedPlant
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame
-from luxloop.loop.simulation.simulated import UnderWay
+from luxloop.loop.simulation.simulated import DigitisedPlant, UnderWay
 from luxloop.loop.simulation.world import World
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import REST

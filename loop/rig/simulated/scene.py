@@ -13,8 +13,7 @@ from luxloop.loop.rig.simulated.lens import Lens
 from luxloop.loop.rig.wire.ddp import Codes, LightFrame, utilisations_of
 from luxloop.loop.scenario.disturbances import AimParams, PoseErrorParams, WearParams
 from luxloop.loop.scenario.model import Scenario
-from luxloop.loop.simulation.build_lamps import mount
-from luxloop.loop.simulation.lamps import lamp_modules
+from luxloop.loop.simulation.lamps import lamp_modules, mount
 from luxloop.loop.simulation.simulated import simulated_plant
 from luxloop.loop.simulation.truth import LampModule, true_modules
 from luxloop.loop.simulation.world import LitScene, World

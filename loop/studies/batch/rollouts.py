@@ -11,8 +11,7 @@ from torch import Tensor
 from luxloop.controllers.pid import PidGains
 from luxloop.controllers.symbol.feedback import Feedback, ThesisPid, ThesisPidParams
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.controllers.symbol.sensing.protocol import Observation, Projection, SymbolController
-from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, Observation, Projection, SymbolController
 from luxloop.controllers.symbol.stages import RoadStage
 from luxloop.loop.simulation.result import Rollout
 from luxloop.loop.simulation.simulation import Simulation

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
-from luxloop.controllers.symbol.sensing.protocol import Observation
+from luxloop.controllers.symbol.sensing.symbol_sensor import Observation
 from luxloop.controllers.symbol.stages import KEY
 from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.protocol import Images

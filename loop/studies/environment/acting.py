@@ -18,9 +18,8 @@ from luxloop.controllers.symbol.feedback import ThesisPid, ThesisPidParams, Thes
 from luxloop.controllers.symbol.heights.feedforward import CELL_M, region_around
 from luxloop.controllers.symbol.heights.height_map import Belief, HeightMap
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.controllers.symbol.sensing.protocol import Observation
 from luxloop.controllers.symbol.sensing.road_shape import HERE
-from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.controllers.symbol.sensing.symbol_sensor import Observation, SymbolSensor
 from luxloop.perception.appearance import DEGREES
 from luxloop.perception.camera import camera_view
 from luxloop.perception.egomotion import Ego

@@ -15,8 +15,7 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
-from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, Observation, Projection
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.simulated import world_plant
 from luxloop.loop.studies.batch.copies import Conditions, Copies

@@ -11,8 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from luxloop.controllers.pixels.jpo_part import pixel_goal
-from luxloop.controllers.pixels.jpo_solvers import least_error
+from luxloop.controllers.pixels.jpo_solvers import least_error, pixel_goal
 from luxloop.controllers.pixels.mrpc_tuning import OPTIONS, THESIS, Part, TextureControl, Trial, part, tune
 from luxloop.loop.recording.sources import digest_of_code
 from luxloop.loop.studies.jobs import ALL_CORES, Executor, Job, Results, digest_of, run

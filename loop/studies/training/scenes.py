@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from luxloop.loop.scenario.model import Scenario, validate
-from luxloop.loop.simulation.build_scene import build_scene
+from luxloop.loop.simulation.simulated import build_scene
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.ground_truth import ground_truth
 from luxloop.world.files import whole

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog, lsq_linear
 from torch.testing import assert_close
 
-from luxloop.controllers.pixels.jpo_part import PixelGoal, pixel_goal
-from luxloop.controllers.pixels.jpo_solvers import MoorePenrose, least_error, least_squares
+from luxloop.controllers.pixels.jpo_solvers import MoorePenrose, PixelGoal, least_error, least_squares, pixel_goal
 from luxloop.perception.metrics import mae, rmse
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.patterns import RECTANGLES

@@ -21,8 +21,7 @@ from luxloop.controllers.symbol.heights.feedforward import OpenLoop, OpenLoopPar
 from luxloop.controllers.symbol.sensing.flat_model import FeatureParams, flat_model
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
-from luxloop.controllers.symbol.sensing.protocol import Observation, Projection, SymbolController
-from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, Observation, Projection, SymbolController, SymbolSensor
 from luxloop.perception import appearance
 from luxloop.perception.appearance import Appearance
 from luxloop.perception.camera import CameraParams, average_rows, camera_view, expose

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from luxloop.loop.recording.response import response
+from luxloop.loop.studies.runs import response
 
 TIMES_S = np.linspace(0.0, 4.0, 401)
 

@@ -17,9 +17,8 @@ from luxloop.loop.rig.camera import Camera
 from luxloop.loop.rig.cameras import opener
 from luxloop.loop.rig.rectification import grey
 from luxloop.loop.scenario.model import load
-from luxloop.loop.simulation.build_lamps import mount
 from luxloop.loop.simulation.frames import image_file, read_light, twin_file
-from luxloop.loop.simulation.lamps import lamp_modules
+from luxloop.loop.simulation.lamps import lamp_modules, mount
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.simulated import simulated_plant
 from luxloop.world.arrays import read_parquet

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from luxloop import Lamp, Module, Scenario, Simulation, idealised, load, load_lamp, pose_from_degrees
-from luxloop.loop.simulation.build_lamps import mount
-from luxloop.loop.simulation.build_scene import build_motion, build_scene
+from luxloop.loop.simulation.lamps import mount
 from luxloop.loop.simulation.part_cache import PartCache
+from luxloop.loop.simulation.simulated import build_motion, build_scene
 from luxloop.world.lamps import archive
 from luxloop.world.lamps.presets import NAMES
 from luxloop.world.photometry import lm63

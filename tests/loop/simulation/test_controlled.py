@@ -9,7 +9,7 @@ import torch
 from rich.console import Console
 
 from luxloop import Arrivals, Exposure, ExtractionStatus, Observation, Simulation, Utilisation
-from luxloop.controllers.symbol.sensing.protocol import Projection
+from luxloop.controllers.symbol.sensing.symbol_sensor import Projection
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.report.run_table import summary_table
 from luxloop.loop.run import run as luxloop_run

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from luxloop.loop.simulation.build_scene import build_scene
+from luxloop.loop.simulation.simulated import build_scene
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.ground_truth import material_picture
 from luxloop.world.materials.library import MATERIALS

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from luxloop.loop.studies.statistics import compare_pairs, holm, mean
+from luxloop.loop.studies.campaign_report import compare_pairs, holm, mean
 
 
 def test_an_interval_holds_the_true_mean_about_as_often_as_it_says():

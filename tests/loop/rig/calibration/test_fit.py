@@ -10,8 +10,7 @@ from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.rig.calibration.twin import BLUR, RecordedExposure, fit
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.scenario.overrides import overridden
-from luxloop.loop.simulation.build_lamps import mount
-from luxloop.loop.simulation.lamps import lamp_modules
+from luxloop.loop.simulation.lamps import lamp_modules, mount
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.simulated import simulated_plant
 from luxloop.perception.camera import expose

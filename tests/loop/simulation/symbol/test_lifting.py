@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from luxloop import ExtractionStatus, Observation, ProjectionCommand, Simulation, load
-from luxloop.controllers.symbol.sensing.protocol import Projection
 from luxloop.controllers.symbol.sensing.relocalisation import Relocalisation
+from luxloop.controllers.symbol.sensing.symbol_sensor import Projection
 from luxloop.controllers.symbol.stages import LOSSES, RoadStage
 from luxloop.perception.metrics import Metrics
 from luxloop.world.frames import inverse, pose, rotation, transform

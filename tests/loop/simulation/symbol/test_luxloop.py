@@ -14,8 +14,8 @@ from luxloop.controllers.symbol.heights.height_map import CELLS, FOLLOWED, Heigh
 from luxloop.controllers.symbol.heights.registration import plane_sweep, semi_global
 from luxloop.controllers.symbol.sensing.projection import Warp
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
-from luxloop.controllers.symbol.sensing.protocol import Projection
 from luxloop.controllers.symbol.sensing.road_shape import HERE, ray_lengths
+from luxloop.controllers.symbol.sensing.symbol_sensor import Projection
 from luxloop.loop.scenario.model import DisturbanceParams
 from luxloop.loop.simulation.result import SimulationState
 from luxloop.perception.birdseye import Region

@@ -9,8 +9,7 @@ from torch import Tensor
 from luxloop import LuxloopError, Scenario, Simulation, load
 from luxloop.controllers.symbol.feedback import ThesisPid
 from luxloop.loop.scenario.model import HeadlightParams
-from luxloop.loop.simulation.build_lamps import mount
-from luxloop.loop.simulation.lamps import MountedModule
+from luxloop.loop.simulation.lamps import MountedModule, mount
 from luxloop.loop.studies.batch.rollouts import GAINS, check, rollouts, with_gains
 from luxloop.loop.studies.ranges import value_of, with_values
 from luxloop.world.symbols import load_still
@@ -73,7 +72,7 @@ def in_float64(params: HeadlightParams, device: str) -> tuple[MountedModule, ...
 
 def test_errors_are_differentiable_in_gains(monkeypatch):
     monkeypatch.setattr("luxloop.loop.simulation.build.mount", in_float64)
-    monkeypatch.setattr("luxloop.loop.simulation.build_symbols.load_still", lambda file: load_still(file).double())
+    monkeypatch.setattr("luxloop.loop.simulation.controlled.load_still", lambda file: load_still(file).double())
     loop = Simulation.prepare(scenario("functions.symbol.extraction.edges=soft", "seed=2", steps=4))
     keys = ("functions.symbol.controller.position.kp", "functions.symbol.controller.position.kd", "functions.symbol.controller.rotation.kp")
 

@@ -15,9 +15,8 @@ from luxloop.loop.studies.training import fit
 from luxloop.loop.studies.training.evaluate import boxes_right, evaluate, score_frame
 from luxloop.loop.studies.training.fit import SIZE, Examples, targets
 from luxloop.loop.studies.training.light import WELL_LIT_LX, darken, full_light, lit_alone, lit_share, luminance, object_light
-from luxloop.loop.studies.training.report import page
 from luxloop.loop.studies.training.scenes import CAMERA, CLASSES, HELD_OUT, TRAINING, DarkScene, SceneObject, draw, read
-from luxloop.loop.studies.training.train import LEAST_SCORE, calibrate, draw_scenes, logistic, store
+from luxloop.loop.studies.training.train import LEAST_SCORE, calibrate, draw_scenes, logistic, page, store
 from luxloop.perception.detection.build import WEIGHTS, detector
 from luxloop.perception.detection.detector import NetworkParams
 from luxloop.perception.detection.network import STRIDE, NetworkDetector
