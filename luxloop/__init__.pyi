@@ -11,8 +11,8 @@ from .controllers.situation import Situation as Situation
 from .controllers.situation import TrackedObject as TrackedObject
 from .controllers.symbol import build_controller as build_controller
 from .controllers.symbol.sensing.projection import ProjectionCommand as ProjectionCommand
-from .controllers.symbol.sensing.protocol import Observation as Observation
-from .controllers.symbol.sensing.protocol import SymbolController as SymbolController
+from .controllers.symbol.sensing.symbol_sensor import Observation as Observation
+from .controllers.symbol.sensing.symbol_sensor import SymbolController as SymbolController
 from .controllers.symbol.sensing.symbol_sensor import SymbolSensor as SymbolSensor
 from .loop.recording.replay import compare as compare
 from .loop.recording.replay import replay as replay
