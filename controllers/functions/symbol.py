@@ -13,8 +13,8 @@ from luxloop.controllers.pixels.homographies import drawing_rectangle
 from luxloop.controllers.pixels.primitives import Observer, Primitives
 from luxloop.controllers.situation import Category, DrawingParams, SelectionParams, Situation
 from luxloop.controllers.symbol import ControllerParams, refuse_place, refuse_start
-from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
 from luxloop.controllers.symbol.sensing.projector import StartParams, SymbolParams
+from luxloop.controllers.symbol.sensing.symbol_sensor import FeatureParams
 from luxloop.perception.extraction import Extraction, ExtractionParams
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees, transform

@@ -301,7 +301,7 @@ def run(
     from luxloop.loop.commands.runs import run_scenario
 
     if plant is not None and steps is None:
-        from luxloop.loop.simulation.recorded import to_the_end
+        from luxloop.loop.simulation.frames import to_the_end
 
         scenario = to_the_end(scenario)
     kept = {"video": video, "report": report, "frames": frames, "labels": labels, "masks": masks, "depth": depth, "lux": lux}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
+from luxloop.controllers.symbol.sensing.symbol_sensor import FeatureParams
 from luxloop.loop.recording.summary import AXES, steady_step
 from luxloop.loop.simulation.columns import AIM, CAUSES, CENTROIDS, CUT, ERRORS, of_one
 

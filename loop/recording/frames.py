@@ -19,6 +19,7 @@ from luxloop.loop.simulation.frames import (
     TABLE,
     Row,
     image_file,
+    inside,
     light_arrays,
     light_file,
     read_exposures,
@@ -28,7 +29,6 @@ from luxloop.loop.simulation.frames import (
     write_light,
 )
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame
-from luxloop.loop.simulation.recorded import inside
 from luxloop.loop.simulation.remote_messages import object_values
 from luxloop.loop.simulation.result import Lights, Reception
 from luxloop.perception.camera import CameraParams

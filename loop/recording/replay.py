@@ -12,7 +12,7 @@ import torch
 from pydantic import BaseModel, TypeAdapter
 from torch import Tensor
 
-from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
+from luxloop.controllers.symbol.sensing.symbol_sensor import FeatureParams
 from luxloop.loop.recording.comparison import Comparison, differences
 from luxloop.loop.recording.manifest import EDITS, MANIFEST, TRAJECTORY, Manifest, table_of
 from luxloop.loop.recording.record import refuse_unknown_columns, row, schema

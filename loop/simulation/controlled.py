@@ -18,10 +18,16 @@ from luxloop.controllers.situation import LAYERS, Situation
 from luxloop.controllers.symbol import AnyParams, ControllerParams, build_controller
 from luxloop.controllers.symbol.heights.feedforward import FeedforwardParams, OpenLoopParams
 from luxloop.controllers.symbol.heights.height_map import Belief
-from luxloop.controllers.symbol.sensing.flat_model import flat_model
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
-from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, Observation, Projection, SymbolController, SymbolSensor
+from luxloop.controllers.symbol.sensing.symbol_sensor import (
+    Measurement,
+    Observation,
+    Projection,
+    SymbolController,
+    SymbolSensor,
+    flat_model,
+)
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.shipped import find_file
 from luxloop.loop.simulation.lamps import ShiningModule, drawing_modules

@@ -33,6 +33,7 @@ from luxloop.loop.simulation.light_figures import (
     ObservedSymbol,
     OnMaterial,
     OnObject,
+    illuminance_at,
     in_white,
     in_zones,
     must_be_dark,
@@ -41,8 +42,8 @@ from luxloop.loop.simulation.light_figures import (
     on_eyes,
     on_materials,
     on_objects,
+    veils_at,
 )
-from luxloop.loop.simulation.probes import illuminance_at, veils_at
 from luxloop.loop.simulation.projections import ProjectionMetrics, projection_metrics
 from luxloop.loop.simulation.result import Clock, Lights, StepResult, mean_lights, without
 from luxloop.loop.simulation.road_metrics import over_setpoint

@@ -21,8 +21,7 @@ from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, Symbol
 from luxloop.loop.scenario.checks import Baseline
 from luxloop.loop.scenario.model import Scenario, only
 from luxloop.loop.scenario.studio_window import StudioWindow
-from luxloop.loop.simulation.build import build
-from luxloop.loop.simulation.check import at_rest
+from luxloop.loop.simulation.build import at_rest, build
 from luxloop.loop.simulation.controlled import ControlledSymbol, choose_measured
 from luxloop.loop.simulation.detection import DetectionPipeline
 from luxloop.loop.simulation.evaluator import Evaluation, Evaluator

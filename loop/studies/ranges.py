@@ -87,7 +87,7 @@ def value_of(scenario: Scenario, key: str) -> float | int | None:
         else:
             table = table.get(part) if isinstance(table, dict) else None
     if isinstance(table, bool) or not (table is None or isinstance(table, int | float)):
-        raise LuxloopError(f"is not a number, and only numbers can be tuned; {_hint(key, table)}")
+        raise LuxloopError(f"is not a number, and only numbers can be varied; {_hint(key, table)}")
     return table
 
 

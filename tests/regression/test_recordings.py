@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
+from luxloop.controllers.symbol.sensing.symbol_sensor import FeatureParams
 from luxloop.loop.recording.comparison import differences
 from luxloop.loop.recording.manifest import table_of
 from luxloop.loop.recording.record import row, schema

@@ -23,16 +23,16 @@ from luxloop.loop.rig.calibration.pictures import draw_twin
 from luxloop.loop.rig.matching import mark_surroundings
 from luxloop.loop.rig.params import MarkParams
 from luxloop.loop.scenario.model import Scenario
-from luxloop.loop.simulation.frames import image_file, light_file, read_image, read_light, twin_file, write_image
+from luxloop.loop.simulation.frames import image_file, inside, light_file, read_image, read_light, recorded_rows, twin_file, write_image
 from luxloop.loop.simulation.lamps import lamp_modules, mount
 from luxloop.loop.simulation.part_cache import PartCache
 from luxloop.loop.simulation.protocol import Exposure
-from luxloop.loop.simulation.recorded import inside, recorded_rows
 from luxloop.loop.simulation.simulated import SimulatedPlant, simulated_plant
 from luxloop.loop.simulation.truth import LampModule
+from luxloop.loop.studies.ranges import value_of
 from luxloop.perception.camera import CameraParams, expose, luminance_of
 from luxloop.perception.metrics import ssim
-from luxloop.world.errors import LuxloopError
+from luxloop.world.errors import LuxloopError, locate
 
 BLUR = "blur_px"  # standard deviation of the picture's blur, a value of the fit that no scenario has
 MOST_PIXELS = 200_000  # of all frames in a fit
@@ -161,15 +161,10 @@ def scores(pictures: Iterable[Array], wanted: Iterable[Array], levels: int) -> d
 
 def _value(scenario: Scenario, key: str) -> float:
     """Number at a key such as `disturbances.aim[0].pitch_deg`. Raises LuxloopError if the scenario has none there."""
-    at: Any = scenario.model_dump(mode="json")
-    for name in key.replace("]", "").replace("[", ".").split("."):
-        try:
-            at = at[int(name)] if isinstance(at, list | tuple) else at[name]
-        except (KeyError, IndexError, ValueError, TypeError) as error:
-            raise LuxloopError(f"{key}: the scenario has no such key; see `luxloop schema`, and give tables first with --set") from error
-    if isinstance(at, bool) or not isinstance(at, int | float):
-        raise LuxloopError(f"{key}: is {at!r}, not a number; give its value first with --set, or vary another key")
-    return float(at)
+    with locate(key):
+        if (value := value_of(scenario, key)) is None:
+            raise LuxloopError("the scenario has no number there; see `luxloop schema`, and give it first with --set")
+    return float(value)
 
 
 # name: (type, unit, description)

@@ -18,10 +18,17 @@ from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.controllers.symbol import CONTROLLERS, build_controller
 from luxloop.controllers.symbol.feedback import LATENCY_GAINS, PidTuning, ThesisPid, ThesisPidParams
 from luxloop.controllers.symbol.heights.feedforward import OpenLoop, OpenLoopParams
-from luxloop.controllers.symbol.sensing.flat_model import FeatureParams, flat_model
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
-from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, Observation, Projection, SymbolController, SymbolSensor
+from luxloop.controllers.symbol.sensing.symbol_sensor import (
+    FeatureParams,
+    Measurement,
+    Observation,
+    Projection,
+    SymbolController,
+    SymbolSensor,
+    flat_model,
+)
 from luxloop.perception import appearance
 from luxloop.perception.appearance import Appearance
 from luxloop.perception.camera import CameraParams, average_rows, camera_view, expose

@@ -111,15 +111,13 @@ def test_functions_without_a_symbol_that_is_held_keep_frames(tmp_path):
         assert not projections and all(light.u.equal(u) for light, u in zip(lights, result.lights, strict=True))
 
 
-@pytest.mark.parametrize(("bits", "dtype", "before"), [(8, np.uint8, np.uint16), (12, np.uint16, np.uint16)])
-def test_frames_of_eight_bits_are_pictures_that_every_program_shows(bits, dtype, before, tmp_path):
+@pytest.mark.parametrize(("bits", "dtype"), [(8, np.uint8), (12, np.uint16)])
+def test_frames_of_eight_bits_are_pictures_that_every_program_shows(bits, dtype, tmp_path):
     camera = CameraParams(width_px=32, height_px=16, bits=bits)
     image = torch.arange(512.0).view(16, 32).remainder(2**bits)
     write_image(tmp_path / "frame.png", image, bits)
     coded = cv2.imread(str(tmp_path / "frame.png"), cv2.IMREAD_UNCHANGED)
     assert coded.dtype == dtype and read_image(tmp_path / "frame.png", camera, image).equal(image)
-    cv2.imwrite(str(tmp_path / "frame.png"), coded.astype(before))
-    assert read_image(tmp_path / "frame.png", camera, image).equal(image), "as earlier versions wrote it"
 
 
 def test_old_frames_go_with_their_recording_and_nothing_else(tmp_path, small_simulation, small_results):

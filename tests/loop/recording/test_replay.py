@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from luxloop import Simulation
-from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
+from luxloop.controllers.symbol.sensing.symbol_sensor import FeatureParams
 from luxloop.loop.recording.comparison import SHARE, differences, tolerances
 from luxloop.loop.recording.manifest import table_of
 from luxloop.loop.recording.record import row, schema

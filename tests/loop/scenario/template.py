@@ -11,8 +11,8 @@ from pydantic.fields import FieldInfo
 from luxloop import Scenario
 from luxloop.controllers.functions.symbol import UNCONTROLLED, SymbolFunctionParams
 from luxloop.controllers.symbol import CONTROLLERS, HeightControllerParams
-from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
 from luxloop.controllers.symbol.sensing.projector import StartParams
+from luxloop.controllers.symbol.sensing.symbol_sensor import FeatureParams
 from luxloop.loop.scenario.plant import SimulatedPlantParams
 from luxloop.loop.scenario.shipped import TEMPLATE, shipped_files
 from luxloop.perception.extraction import ExtractionParams

@@ -3,11 +3,8 @@
 from typing import Any
 
 import pytest
-import torch
-from torch.nn.functional import max_pool2d
 
 from luxloop.loop.recording.record import row
-from luxloop.loop.simulation.road_metrics import _running_max
 from tests.loop.conftest import simulated, toml
 
 COMING = toml("{ kind = 'car', name = 'coming', seed = 1, path = { points_m = [[30, 3.5, 0], [0, 3.5, 0]], speed_m_s = 10.0 } }")
@@ -54,10 +51,3 @@ def test_oncoming_heads_count_from_three_tenths_of_a_second_on():
     told = [each["oncoming_lx_max"] for each in lit]
     assert told[:3] == [None] * 3 and all(lx > 1 for lx in told[3:]), "near enough at once, and in full light"
     assert all(each["oncoming_lx_max"] is None for each in rows(5, "full", objects=[AHEAD]))
-
-
-@pytest.mark.parametrize("half", [0, 1, 5, 15])
-def test_the_largest_setpoint_nearby_is_that_of_a_pooling_window(half):
-    values = torch.rand(40, 7, generator=torch.Generator().manual_seed(half))
-    expected = max_pool2d(values[None], (2 * half + 1, 1), 1, (half, 0))[0]
-    assert _running_max(values, half).equal(expected)

@@ -12,7 +12,7 @@ from luxloop.loop.recording.manifest import table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.report.courses import write_courses
 from luxloop.loop.report.run_table import summary_table
-from luxloop.loop.simulation.check import check_truth
+from luxloop.loop.simulation.build import check_truth
 
 CAMERA = {"width_px": 160, "height_px": 90, "oversampling": 1}
 BOARD = {"kind": "box", "name": "board", "size_m": [0.2, 6.0, 3.0], "albedo": 0.3, "track": [{"position_m": [40.0, 0.0, 0.0]}]}

@@ -9,7 +9,7 @@ import torch
 
 from luxloop import LuxloopError, Utilisation, run
 from luxloop.loop.recording.record import row
-from luxloop.loop.simulation.check import check_truth
+from luxloop.loop.simulation.build import check_truth
 from luxloop.loop.simulation.projections import projection_metrics
 from luxloop.world.scene.vehicle import VehiclePath
 from tests.loop.conftest import simulated

@@ -11,7 +11,7 @@ import torch
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.report.measure import towards
 from luxloop.loop.scenario.probes import ProbeParams
-from luxloop.loop.simulation.probes import illuminance_at
+from luxloop.loop.simulation.light_figures import illuminance_at
 from luxloop.loop.studio.runs import matrix
 from luxloop.loop.studio.sources import Source
 from luxloop.world.frames import inverse, transform
