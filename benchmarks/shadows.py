@@ -102,7 +102,7 @@ def places(road: Road, world: World) -> Iterator[tuple[str, str, Place]]:
     T_world_lamp, standing = world.modules[0].T_body_headlight, Scene((Body("road", road_mesh(road), smooth=True, ground=True),)).at(0.0)
     yield "standing", "camera", (standing, world.view, T_world_lamp, False)
     yield "standing", "above", (standing, from_above(), T_world_lamp, False)
-    tiles = RoadTiles(road, (0.0, 0.0), 0.2, None)
+    tiles = RoadTiles(road, 0.2, None, (0.0, 0.0))
     for x_m in DRIVEN_M:
         T_world_body = pose_from_degrees((x_m, 0.0, float(road.z(x_m, 0.0))))
         view = replace(world.view, T_world_view=T_world_body @ world.view.T_world_view)

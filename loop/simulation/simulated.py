@@ -3,7 +3,6 @@
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -64,11 +63,10 @@ def build_scene(scenario: Scenario, motion: Motion = STANDING, cache: PartCache 
     if motion is STANDING:
         ground = cache("ground", StandingRoad, road, albedo, texture)
     elif vehicle is not None and vehicle.roams:
-        ground = cache("ground", lambda *_: RoadPatches(road, albedo, texture, sight_m=sight_m), road, albedo, texture, sight_m)
+        ground = cache("ground", RoadPatches, road, albedo, texture, sight_m)
     else:
         others_y_m = tuple(y for each in objects for y in each.track.T_world_body[:, 1, 3].tolist())
-        tiles = partial(RoadTiles, others_y_m=others_y_m, sight_m=sight_m)
-        ground = cache("ground", lambda *key: tiles(*key[:4]), road, motion.range_y_m, albedo, texture, others_y_m, sight_m)
+        ground = cache("ground", RoadTiles, road, albedo, texture, motion.range_y_m, others_y_m, sight_m)
     return cache("scene", Scene, (ground, *objects), scenario.light.ambient_lx, scenario.light.street_lamps)
 
 

@@ -1,29 +1,26 @@
 """The road as bodies, meshed on demand: as a whole, in tiles along a given course, in patches around a vehicle under manual control."""
 
-from typing import TYPE_CHECKING
-
-import numpy as np
-from numpy.typing import NDArray
-
-from luxloop.world.roads.base import Floats, Road
-from luxloop.world.roads.scan import OpenCrgRoad
-from luxloop.world.roads.shapes import OwnRoad
-
-if TYPE_CHECKING:
-    import trimesh
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from luxloop.world.caches import keeping
 from luxloop.world.materials.library import SpottedTexture, Texture
+from luxloop.world.roads.base import Floats, Road
+from luxloop.world.roads.scan import OpenCrgRoad
+from luxloop.world.roads.shapes import OwnRoad
 from luxloop.world.scene.body import Body, PoseTrack
 from luxloop.world.scene.triangles import Instance
+
+if TYPE_CHECKING:
+    import trimesh
 
 SCENE_X_M = (-6.0, 120.0)
 SCENE_Y_M = (-25.0, 25.0)
@@ -93,14 +90,26 @@ def _growing(length: float, spacing: float) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class StandingRoad:
-    """A road meshed as a whole. albedo, texture: as those of a `Body`. Raises LuxloopError of a road that has no heights."""
+class Ground:
+    """A road that is meshed when somebody looks at it. albedo, texture: as those of a `Body`."""
 
     road: Road
     albedo: float
     texture: Texture | SpottedTexture | None
-    name: str = "road"
-    track: PoseTrack = field(default_factory=PoseTrack.static)
+    name: ClassVar[str] = "road"
+    track: ClassVar[PoseTrack] = PoseTrack.static()
+
+    def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Instance, ...]:
+        """What is in sight of a vehicle at `T_world_ground` `[4, 4]`, as parts of the body `object_id`."""
+        raise NotImplementedError
+
+    def _instance(self, object_id: int, mesh: "trimesh.Trimesh") -> Instance:
+        body = Body(self.name, mesh, self.albedo, self.texture, smooth=True, ground=True)
+        return Instance(object_id, body, torch.eye(4, dtype=torch.float64))
+
+
+class StandingRoad(Ground):
+    """A road meshed as a whole. Raises LuxloopError of a road that has no heights."""
 
     def __post_init__(self) -> None:
         refuse_broken(self.road)
@@ -111,11 +120,10 @@ class StandingRoad:
         return keeping(1, self._make)
 
     def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Instance, ...]:
-        """The whole road as the body `object_id`."""
         return (self._road(object_id),)
 
     def _make(self, object_id: int) -> Instance:
-        return _instance(self, object_id, road_mesh(self.road))
+        return self._instance(object_id, road_mesh(self.road))
 
 
 LENGTH_M: Final = 6.0  # of a tile
@@ -129,19 +137,13 @@ TILES_IN_SIGHT: Final = 4  # times the tiles that are in sight
 
 
 @dataclass(frozen=True, eq=False)
-class RoadTiles:
-    """A road meshed along the vehicle's course.
+class RoadTiles(Ground):
+    """A road meshed along the vehicle's course, in fine and coarse tiles.
 
-    course_y_m: least and greatest y of its course. albedo, texture: as those of a `Body`. others_y_m: y of other objects on it. sight_m:
-    mesh length ahead.
+    course_y_m: least and greatest y of its course. others_y_m: y of other objects on it. sight_m: mesh length ahead.
     """
 
-    road: Road
     course_y_m: tuple[float, float]
-    albedo: float
-    texture: Texture | SpottedTexture | None
-    name: str = "road"
-    track: PoseTrack = field(default_factory=PoseTrack.static)
     others_y_m: tuple[float, ...] = ()
     sight_m: float = SIGHT_M
 
@@ -158,7 +160,6 @@ class RoadTiles:
         return keeping(TILES_IN_SIGHT * math.ceil(self.sight_m / LENGTH_M), self._make)
 
     def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Instance, ...]:
-        """The fine and the coarse tiles in sight of a vehicle at `T_world_ground` `[4, 4]`, as parts of the body `object_id`."""
         (cos, sin), (x, y) = T_world_ground[:2, 0].tolist(), T_world_ground[:2, 3].tolist()
         tiles = list[Instance]()
         for k in range(int((x - self.sight_m) // LENGTH_M), int((x + self.sight_m) // LENGTH_M) + 1):
@@ -170,10 +171,8 @@ class RoadTiles:
 
     def _make(self, object_id: int, k: int, far: bool) -> Instance:
         """Rows share their columns at all distances, so that tiles meet without gaps; normals look one row beyond the tile."""
-        start, grid = k * LENGTH_M, self.road.grid()
-        rows = round(LENGTH_M / ALONG_M[far])
-        x = np.linspace(start, start + LENGTH_M, rows + 1)
-        x = np.unique(np.concatenate([x, [line for line in grid.x_lines_m if start < line < start + LENGTH_M]]))
+        grid = self.road.grid()
+        x = _lines(k * LENGTH_M, LENGTH_M, ALONG_M[far], grid.x_lines_m)
         (low, high), fine = self.course_y_m, BESIDE_M[0]
         y = axis(self._edges_m, (low - fine, high + fine), ACROSS_M, grid.y_lines_m)
         margin = ALONG_M[0]
@@ -181,8 +180,7 @@ class RoadTiles:
         z = self.road.z(around[:, None], y)
         dx, dy = np.gradient(z, around, y)
         normals = np.stack([-dx, -dy, np.ones_like(z)], axis=-1)
-        mesh = grid_mesh(*np.meshgrid(x, y, indexing="ij"), z[1:-1], normals[1:-1])
-        return _instance(self, object_id, mesh)
+        return self._instance(object_id, grid_mesh(*np.meshgrid(x, y, indexing="ij"), z[1:-1], normals[1:-1]))
 
 
 SIDE_M: Final = 12.0  # of a patch
@@ -194,14 +192,9 @@ MOST_PATCHES: Final = 400  # patches, four times those in sight
 
 
 @dataclass(frozen=True, eq=False)
-class RoadPatches:
-    """A road meshed around the vehicle. albedo, texture: as those of a `Body`. sight_m: mesh length ahead."""
+class RoadPatches(Ground):
+    """A road meshed around the vehicle, in fine and coarse patches. sight_m: mesh length ahead."""
 
-    road: Road
-    albedo: float
-    texture: Texture | SpottedTexture | None
-    name: str = "road"
-    track: PoseTrack = field(default_factory=PoseTrack.static)
     sight_m: float = SIGHT_M
 
     @cached_property
@@ -210,7 +203,6 @@ class RoadPatches:
         return keeping(MOST_PATCHES, self._make)
 
     def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Instance, ...]:
-        """The fine and the coarse patches in sight of a vehicle at `T_world_ground` `[4, 4]`, as parts of the body `object_id`."""
         (cos, sin), place = T_world_ground[:2, 0].tolist(), T_world_ground[:2, 3].numpy()
         reach = math.ceil((self.sight_m + SIDE_M) / SIDE_M)
         i, j = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1) + np.floor(place / SIDE_M).astype(int)[:, None]
@@ -224,23 +216,17 @@ class RoadPatches:
     def _make(self, object_id: int, i: int, j: int, far: bool) -> Instance:
         """Normals look one row beyond the patch."""
         grid, spacing = self.road.grid(), SPACING_M[far]
-        x, y = _lines(i * SIDE_M, spacing, grid.x_lines_m), _lines(j * SIDE_M, spacing, grid.y_lines_m)
+        x, y = (_lines(k * SIDE_M, SIDE_M, spacing, lines) for k, lines in ((i, grid.x_lines_m), (j, grid.y_lines_m)))
         around_x, around_y = (np.concatenate([[each[0] - spacing], each, [each[-1] + spacing]]) for each in (x, y))
         z = self.road.z(around_x[:, None], around_y)
         height_and_slopes = np.stack([z, *np.gradient(z, around_x, around_y)])[:, 1:-1, 1:-1]
         grids = (*np.meshgrid(x, y, indexing="ij"), *height_and_slopes)
         X, Y, Z, dx, dy = (np.pad(each, 1, mode="edge") for each in grids)
         Z = Z - np.pad(np.zeros((len(x), len(y))), 1, constant_values=SKIRT_M)
-        mesh = grid_mesh(X, Y, Z, np.stack([-dx, -dy, np.ones_like(dx)], axis=-1))
-        return _instance(self, object_id, mesh)
+        return self._instance(object_id, grid_mesh(X, Y, Z, np.stack([-dx, -dy, np.ones_like(dx)], axis=-1)))
 
 
-def _lines(start: float, spacing: float, required: tuple[float, ...]) -> Floats:
-    """Grid lines in m of a patch from its start, with those that the road requires."""
-    regular = np.linspace(start, start + SIDE_M, round(SIDE_M / spacing) + 1)
-    return np.unique(np.concatenate([regular, [line for line in required if start < line < start + SIDE_M]]))
-
-
-def _instance(road: StandingRoad | RoadTiles | RoadPatches, object_id: int, mesh: "trimesh.Trimesh") -> Instance:
-    body = Body(road.name, mesh, road.albedo, road.texture, smooth=True, ground=True)
-    return Instance(object_id, body, torch.eye(4, dtype=torch.float64))
+def _lines(start: float, length: float, spacing: float, required: tuple[float, ...]) -> Floats:
+    """Grid lines in m from a start over a length, with those that the road requires."""
+    regular = np.linspace(start, start + length, round(length / spacing) + 1)
+    return np.unique(np.concatenate([regular, [line for line in required if start < line < start + length]]))

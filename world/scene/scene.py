@@ -9,12 +9,11 @@ from torch import Tensor
 from luxloop.world.frames import transform
 from luxloop.world.params import Metres, Params
 from luxloop.world.scene.body import Body, Figure, PoseTrack, Spotlight
-from luxloop.world.scene.ground import RoadPatches, RoadTiles, StandingRoad
+from luxloop.world.scene.ground import Ground
 from luxloop.world.scene.triangles import NOTHING, Group, Instance, Triangles
 
 __all__ = ["Body", "Ground", "PoseTrack", "Scene", "StreetLamp"]
 
-Ground = StandingRoad | RoadTiles | RoadPatches  # roads that are meshed when somebody looks at them
 # (object id, the 16 numbers of T_world_body, a figure's phase) of every body that exists
 Key = tuple[tuple[int, tuple[float, ...]], ...]
 

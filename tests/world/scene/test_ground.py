@@ -20,7 +20,7 @@ ROAD = Iso8608(roughness_class="C")
 
 
 def tiles(road: Road = ROAD) -> RoadTiles:
-    return RoadTiles(road, (0.0, 0.0), 0.2, None)
+    return RoadTiles(road, 0.2, None, (0.0, 0.0))
 
 
 def near(road: RoadTiles | RoadPatches, T_world_ground: torch.Tensor) -> tuple[Instance, ...]:
