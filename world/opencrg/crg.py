@@ -17,8 +17,7 @@ TEXT_WIDTH = {"LRFI": 10, "LDFI": 20}
 class Crg:
     """A curved regular grid as stored: no modifier applied, NaN where nothing was measured.
 
-    `road`, `options` and `modifiers` hold the header's numbers under their lower-case keys (`reference_line_start_x`);
-    `modifiers` is None where the file has no such section, which is not the same as an empty one.
+    `road`, `options` and `modifiers` hold the header's numbers under their lower-case keys (`reference_line_start_x`).
     """
 
     z: NDArray[np.float64]  # [n_u, n_v] m above the reference line
@@ -28,9 +27,7 @@ class Crg:
     slope: NDArray[np.float64] | None = None  # [n_u] m/m, of the segment that ends at row i; row 0 means nothing
     banking: NDArray[np.float64] | None = None  # [n_u] m/m, of row i
     options: Mapping[str, float] = field(default_factory=dict)
-    modifiers: Mapping[str, float] | None = None
-    comment: str = ""
-    kind: str = "KRBI"
+    modifiers: Mapping[str, float] = field(default_factory=dict)
     source: str = "OpenCRG data"  # the file that it came from, for messages
 
     def line(self, key: str, default: float = 0.0) -> float:

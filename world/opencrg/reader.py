@@ -32,7 +32,7 @@ REFERENCE = {"u": LENGTH, "x": LENGTH, "y": LENGTH, "phi": ANGLE, "slope": SLOPE
 
 @dataclass(frozen=True)
 class Header:
-    """Sections as `name -> [(line number, text)]`, comments stripped (but for `$CT`), and the bytes that follow."""
+    """Sections as `name -> [(line number, text)]`, comments stripped, and the bytes that follow."""
 
     path: Path
     sections: dict[str, list[tuple[int, str]]]
@@ -109,8 +109,6 @@ def read_header(path: Path) -> Header:
         if line.startswith("$"):
             name = re.split(r"[\s!*$]", line[1:], maxsplit=1)[0].upper()
             sections.setdefault(name, [])
-        elif name == "CT":
-            sections[name].append((number, line))
         elif name and not line.lstrip().startswith("*"):
             sections[name].append((number, line.partition("!")[0].strip()))
     if "ROAD_CRG_FILE" not in sections and not (end and "ROAD_CRG" in sections):
@@ -193,13 +191,10 @@ def read_crg(path: str | Path) -> Crg:
 def _read(path: Path, depth: int) -> Crg:
     header = read_header(path)
     options = header.numbers("ROAD_CRG_OPTS")
-    modifiers = header.numbers("ROAD_CRG_MODS") if "ROAD_CRG_MODS" in header.sections else None
-    comment = "\n".join(text for _, text in header.sections.get("CT", []))
+    modifiers = header.numbers("ROAD_CRG_MODS")
     if "ROAD_CRG_FILE" in header.sections:
         inner = _follow_reference(header, depth)
-        if inner.modifiers is not None or modifiers is not None:
-            modifiers = {**(inner.modifiers or {}), **(modifiers or {})}
-        return replace(inner, options={**inner.options, **options}, modifiers=modifiers, comment=comment)
+        return replace(inner, options={**inner.options, **options}, modifiers={**inner.modifiers, **modifiers})
 
     channels = read_channels(header)
     road = header.numbers("ROAD_CRG")
@@ -236,8 +231,6 @@ def _read(path: Path, depth: int) -> Crg:
         banking=reference.get("banking"),
         options=options,
         modifiers=modifiers,
-        comment=comment,
-        kind=channels.kind,
         source=str(path),
     )
 
@@ -345,6 +338,6 @@ def _field(path: Path, line: int, text: str) -> float:
     if "*" in text:
         return 0.0 if text.strip("* ").lower() == "unused" else math.nan
     try:
-        return float(text.replace("D", "E").replace("d", "e"))
+        return _float(text)
     except ValueError:
         raise LuxloopError(f"{path}, line {line}: {text!r} is not a number in a fixed column; restore the column widths") from None

@@ -1,5 +1,8 @@
 """Evaluate a curved regular grid: z(u, v), (u, v) -> (x, y) and back."""
 
+import math
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, cast
 
@@ -7,15 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.opencrg.crg import FINEST_M, Crg
+from luxloop.world.opencrg.crg import FINEST_M, Crg, fill_gaps
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
-import math
-from collections.abc import Mapping
-from dataclasses import replace
-
-from luxloop.world.opencrg.crg import fill_gaps
 
 Floats = NDArray[np.float64]
 NO_VALUE, ZERO, KEEP, REPEAT, MIRROR = range(5)
@@ -239,16 +237,14 @@ def _cross(a: Floats, b: Floats) -> Floats:
     return cast(Floats, a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
-# Defaults of OpenCRG libraries for a file without $ROAD_CRG_MODS: fill NaN, start at the origin with heading 0.
-LIBRARY_DEFAULTS = {"grid_nan_mode": 2.0, "refpoint_phi": 0.0}
 Point = tuple[float, float]
 NAN_KEEP, NAN_ZERO, NAN_LAST = range(3)
 
 
-def modify(crg: Crg, modifiers: Mapping[str, float] | None = None) -> Crg:
-    """The grid after `modifiers`, or after the file's own (the libraries' defaults where it has none). Order: scale, NaN, position."""
-    own = LIBRARY_DEFAULTS if crg.modifiers is None else crg.modifiers
-    mods = own if modifiers is None else modifiers
+def modify(crg: Crg) -> Crg:
+    """The grid after its modifiers. Order: scale, NaN, position."""
+    if not (mods := crg.modifiers):
+        return crg
     crg = replace(_handle_nan(_scale_grid(crg, mods), mods), modifiers={})
     if any(key.startswith("refpoint_") for key in mods):
         return _move(crg, *_to_reference_point(crg, mods))

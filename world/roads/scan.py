@@ -124,7 +124,7 @@ def _scan(road: OpenCrgRoad) -> _Scan:
 @lru_cache(maxsize=8)
 def _read(road: OpenCrgRoad, path: Path, changed_ns: int) -> _Scan:
     crg = read_crg(path)
-    surface = CrgSurface(fill_gaps(crg if crg.modifiers is None else modify(crg)))
+    surface = CrgSurface(fill_gaps(modify(crg)))
     u = (surface.u_start + surface.u_end) / 2 if road.u_m is None else road.u_m
     for key, value, low, high in (("u_m", u, surface.u_start, surface.u_end), ("v_m", road.v_m, surface.crg.v[0], surface.crg.v[-1])):
         if not low <= value <= high:

@@ -5,30 +5,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from luxloop.world.errors import LuxloopError
-from luxloop.world.files import whole
 from luxloop.world.opencrg.crg import KINDS, TEXT_WIDTH, Crg
 
 
-def write_crg(path: str | Path, crg: Crg, kind: str | None = None) -> None:
-    """Write a grid as LRFI, LDFI, KRBI or KDBI (default: its own kind); the file appears whole or not at all.
+def write_crg(path: str | Path, crg: Crg, kind: str = "KRBI") -> None:
+    """Write a grid as LRFI, LDFI, KRBI or KDBI.
 
     KDBI keeps every bit, KRBI rounds to float32, the text kinds to the 10 or 20 characters of a column.
     """
-    kind = kind or crg.kind
-    if kind not in KINDS:
-        raise LuxloopError(f"{path}: OpenCRG data kind {kind!r} is unknown; use one of {', '.join(KINDS)}")
     reference = {name: getattr(crg, name) for name in ("phi", "slope", "banking") if getattr(crg, name) is not None}
     table = np.column_stack([*reference.values(), crg.z])
     data = _text(table, TEXT_WIDTH[kind]) if kind in TEXT_WIDTH else _binary(table, KINDS[kind])
-    with whole(Path(path)) as part:
-        part.write_bytes(_header(crg, kind, list(reference)).encode("latin-1", errors="replace") + data)
+    Path(path).write_bytes(_header(crg, kind, list(reference)).encode("latin-1") + data)
 
 
 def _header(crg: Crg, kind: str, reference: list[str]) -> str:
-    # A line of free text must not open a section, nor run over the 72 characters that readers may expect.
-    comment = [line[:72].replace("$", "S", 1) if line.startswith("$") else line[:72] for line in crg.comment.splitlines()]
-    lines = ["$CT", *comment]
+    lines = ["$CT"]
     v_keys = {"long_section_v_right", "long_section_v_left", "long_section_v_increment"}
     road = {key: value for key, value in crg.road.items() if key not in v_keys}
     road.setdefault("reference_line_end_u", crg.u_end)
@@ -37,8 +29,8 @@ def _header(crg: Crg, kind: str, reference: list[str]) -> str:
     road |= {"long_section_v_right": float(crg.v[0]), "long_section_v_left": float(crg.v[-1])}
     if numbered:
         road["long_section_v_increment"] = step
-    for name, values in (("ROAD_CRG", road), ("ROAD_CRG_MODS", crg.modifiers), ("ROAD_CRG_OPTS", crg.options or None)):
-        if values is not None:
+    for name, values in (("ROAD_CRG", road), ("ROAD_CRG_MODS", crg.modifiers), ("ROAD_CRG_OPTS", crg.options)):
+        if values:
             lines += ["$", f"${name}", *(f"{key.upper():<26}= {value!r}" for key, value in values.items())]
     lines += ["$", "$KD_DEFINITION", f"#:{kind}"]
     lines += [f"D:reference line {name},{'rad' if name == 'phi' else 'm/m'}" for name in reference]
