@@ -199,20 +199,3 @@ def test_a_batch_of_corrections_is_a_loop_of_singles(quantity, device):
     for k, single in enumerate(singles):
         # float64; a setpoint of one may be divided by hundreds of cd.
         torch.testing.assert_close(u[k], reduced(single, lamp.to(device), params, default)[0], rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("quantity", ["I_v", "E_v", "u_abs", "u_rel"])
-@pytest.mark.parametrize("a_r", [0.0, 1.0, 2.0])
-@pytest.mark.parametrize("a_m", [0.0, 0.5, 1.0, 2.0])
-def test_equals_the_plain_sums(a_m, a_r, quantity):
-    for seed in range(3):
-        lamp, A = random_lamp(seed)
-        default = base_pattern(seed)
-        setpoints = random_setpoints(seed, A, quantity)
-        if quantity == "u_rel":
-            setpoints = replace(setpoints, value=2 * setpoints.value)  # so that some pixels would need more than full
-        u, _ = reduced(setpoints, lamp, MrpcParams(a_m=a_m, a_r=a_r), default)
-        expected, _ = reference.map_reduce(A, rays(setpoints), MrpcParams(a_m=a_m, a_r=a_r), default.numpy(), COLS)
-        # float64 sums over at most 48 texels.
-        np.testing.assert_allclose(u, expected, rtol=0, atol=1e-12)
-        assert u[DARK_PIXEL] == default[DARK_PIXEL]

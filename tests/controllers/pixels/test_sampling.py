@@ -1,7 +1,6 @@
 """Which texels a pixel samples, and the earlier ways of control that this gives (docs/ssc.md)."""
 
 from dataclasses import replace
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -10,30 +9,14 @@ import torch
 
 from luxloop.controllers.pixels.pixel_major import MrpcParams
 from luxloop.controllers.pixels.primitives import rectangle
-from luxloop.controllers.pixels.sampling import Sampling, rectangular, sample_weights
+from luxloop.controllers.pixels.sampling import rectangular
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised, lamp
-from luxloop.world.spmv import Csr, row_of_entries
-from tests.reference import ssc as reference
+from luxloop.world.spmv import Csr
 
 LAMP = idealised(8, 20)
 T = pose_from_degrees((0.0, 0.0, 0.0))
-
-
-@pytest.mark.parametrize("sampling", get_args(Sampling))
-def test_samples_are_those_of_the_reference(sampling):
-    light = lamp("hd84").modules[0].headlight
-    entries = light.matrix.transpose
-    weights = sample_weights(entries, light, sampling)
-    pixel = row_of_entries(entries)
-    for j in (0, 17, 40, 83):
-        mine = pixel == j
-        texels = entries.indices[mine].tolist()
-        dense = np.zeros(light.n_texels)
-        dense[texels] = entries.values[mine].numpy()
-        expected = reference.sample_weights(texels, dense, sampling, light.cols)
-        assert dict(zip(texels, weights[mine].tolist(), strict=True)) == pytest.approx(expected)
 
 
 def test_a_rectangle_keeps_the_pixel_s_light_and_fills_its_box():

@@ -121,14 +121,15 @@ def test_light_lies_on_the_symbol_and_not_beside_it():
     assert y[on].mean().item() == pytest.approx(0, abs=0.02)
 
 
+@pytest.mark.parametrize(("quantity", "value"), [("u_abs", 1.0), ("E_v", 20.0)])
 @pytest.mark.parametrize("batch", [(), (2,)])
-def test_pose_gradients_are_those_of_differences(batch):
+def test_pose_gradients_are_those_of_differences(batch, quantity, value):
     ssc = Ssc.prepare(replace(LAMP, matrix=LAMP.matrix.to(torch.float64)))
     smooth = torch.hann_window(64, periodic=False, dtype=torch.float64)
     symbol = smooth[:, None] * smooth  # dark at the outline, so that hits and misses join without a step
 
     def light(pose: Tensor) -> Tensor:
-        return ssc.utilisation(road_symbol(pose, 0.0, 3.0, 8.0, symbol, 1.0, "u_abs"), T_LEFT).u.square().sum(-1)
+        return ssc.utilisation(road_symbol(pose, 0.0, 3.0, 8.0, symbol, value, quantity), T_LEFT).u.square().sum(-1)
 
     pose = torch.tensor([17.0, 0.2, 0.02, -0.03], dtype=torch.float64).expand(*batch, 4).clone().requires_grad_()
     # Bilinear kinks every 1/64 of the symbol and a border clamped over half a texel: a hundredth.
@@ -161,23 +162,6 @@ def test_what_needs_more_than_a_windows_products_is_told():
     assert not window_suffices(dark, mask, T_LEFT)
     for params in (MrpcParams(a_ac=0.5), MrpcParams(sharpening=1.0), MrpcParams(corrections=1), MrpcParams(upper_cd=100.0)):
         assert not window_suffices(Ssc.prepare(LAMP, params), one, T_LEFT)
-
-
-@pytest.mark.parametrize(
-    "pose", [TARGET, (14.0, 2.5, 0.1, -0.1), (17.0, 3.2, 0.0, 0.0), (60.0, 0.0, 0.0, 0.0), (4.0, 0.0, 0.0, 0.0), OUT_OF_SIGHT]
-)
-@pytest.mark.parametrize("quantity", ["u_abs", "E_v"])
-@pytest.mark.parametrize("params", [MrpcParams(), MrpcParams(a_m=0.5)], ids=["products", "entries"])
-def test_the_banded_form_equals_the_batched_form(params, pose, quantity):
-    ssc = Ssc.prepare(LAMP, params)
-    single = ssc.utilisation(road_primitive(pose, quantity), T_LEFT)
-    batch = ssc.utilisation(road_primitive(torch.tensor([pose, TARGET]), quantity), T_LEFT)
-    torch.testing.assert_close(single.u, batch.u[0], rtol=1e-4, atol=1e-5)
-    assert batch.band is None
-    assert single.band is not None
-    outside = torch.ones(LAMP.n_pixels, dtype=torch.bool)
-    outside[single.band] = False
-    assert not single.u[outside].any()
 
 
 def test_a_share_beside_lux_costs_no_more_than_shares_alone():
