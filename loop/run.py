@@ -16,7 +16,7 @@ from luxloop.controllers.functions.commands import BendingParams, LevellingParam
 from luxloop.controllers.symbol.sensing.field import SIDES, cut
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.loop.recording.checks import Checks
-from luxloop.loop.recording.labels import Layout, choose_labels
+from luxloop.loop.recording.labels import Labels, Layout, choose_labels
 from luxloop.loop.recording.manifest import REPORT, TRAJECTORY, VIDEO, Manifest
 from luxloop.loop.recording.record import refuse_unknown_columns, row
 from luxloop.loop.recording.remedies import target_remedies
@@ -63,7 +63,7 @@ def run(  # noqa: PLR0913 (independent options)
     video: bool = True,
     report: bool = True,
     frames: bool = False,
-    labels: Layout | None = None,
+    labels: Layout | Labels | None = None,
     masks: bool = False,
     depth: bool = False,
     lux: bool = False,
@@ -78,13 +78,13 @@ def run(  # noqa: PLR0913 (independent options)
     scenario: shipped name, path, or loaded scenario. values: arguments of `load` (`overrides=["road.kind=bumps"], steps=20`). folder: for
     the recording, replaces an older one; None for a temporary folder that lasts as long as the result. device: "auto", "cpu" or "cuda".
     video, report: whether to write these files, which takes seconds. frames: whether to record frames, light and ego motion, megabytes
-    for each step. labels: "coco" or "kitti", records frames with labels in that layout (docs/data.md). masks, depth, lux: whether labels
-    include masks of instances and parts, depth, and illuminance of each pixel. checks: whether to evaluate also the scenario's checks
-    against another light, which is then simulated alongside; outcomes are in `summary["checks"]`. plant: returns a plant that replaces
-    the scenario's plant, such as an open rig. on_step: called after every step. on_end: called before video and report are finished.
-    Ctrl-C ends the recording, reports on the completed steps and raises KeyboardInterrupt. Raises LuxloopError if the scenario cannot be
-    read or run, another process writes into the folder, or the plant does not know the truth for labels. Nothing is written before the
-    end of the first step.
+    for each step. labels: "coco", "kitti" or "yolo", records frames with labels in that layout (docs/data.md). masks, depth, lux: whether
+    labels include masks of instances and parts, depth, and illuminance of each pixel. checks: whether to evaluate also the scenario's
+    checks against another light, which is then simulated alongside; outcomes are in `summary["checks"]`. plant: returns a plant that
+    replaces the scenario's plant, such as an open rig. on_step: called after every step. on_end: called before video and report are
+    finished. Ctrl-C ends the recording, reports on the completed steps and raises KeyboardInterrupt. Raises LuxloopError if the scenario
+    cannot be read or run, another process writes into the folder, or the plant does not know the truth for labels. Nothing is written
+    before the end of the first step.
     """
     # Recording modules, imported here so that `prepare` need not load them.
     from luxloop.loop.recording.recorder import Recorder, refuse_other_files
@@ -101,7 +101,7 @@ def run(  # noqa: PLR0913 (independent options)
     if folder is None:
         temporary = TemporaryDirectory(prefix="luxloop-")
         folder = temporary.name
-    wanted = choose_labels(labels, masks=masks, depth=depth, lux=lux)
+    wanted = labels if isinstance(labels, Labels) else choose_labels(labels, masks=masks, depth=depth, lux=lux)
     played = shadow_of(scenario.plant)
     if played is not None and Path(played).resolve() == Path(folder).resolve():
         raise LuxloopError(f"{folder}: is the recording that is played, which this run would replace; give another folder with --out")

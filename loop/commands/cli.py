@@ -226,7 +226,7 @@ def run(
     probe: list[str] | None = None,
     report: bool = True,
     frames: Flag = False,
-    labels: Literal["coco", "kitti"] | None = None,
+    labels: Literal["coco", "kitti", "yolo"] | None = None,
     masks: Flag = False,
     depth: Flag = False,
     lux: Flag = False,
@@ -272,7 +272,7 @@ def run(
     frames
         Record the plant's input and output as well: light, frames and sensor samples, megabytes per step.
     labels
-        Record frames with boxes, classes and poses of objects, in the layout of COCO or KITTI (see docs/data.md).
+        Record frames with boxes, classes and poses of objects, in the layout of COCO, KITTI or YOLO (see docs/data.md).
     masks
         With --labels: masks of instances and parts.
     depth

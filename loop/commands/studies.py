@@ -101,7 +101,7 @@ def dataset(
         tables.say(f"failed: scene {key}: {reason}", stderr=True)
     objects = ", ".join(f"{number:,} {name}" for name, number in counts.objects.most_common(CLASSES))
     found = f"{tables.plural(counts.scenes, 'scene')}, {tables.plural(counts.frames, 'frame')}, objects: {objects or 'none'}"
-    print(f"{counts.file} written: {found}")
+    print(f"{', '.join(map(str, counts.files))} written: {found}")
     return DIFFERS if failures else OK
 
 

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
@@ -17,7 +17,7 @@ from luxloop.loop.simulation.frames import QUICK, image_file, light_file
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.result import Reception
 from luxloop.loop.simulation.world import LitScene, TrueObject, World
-from luxloop.perception.ground_truth import Box
+from luxloop.perception.ground_truth import Box, GroundTruth
 from luxloop.world.arrays import write_npz
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import atomic_write, link, whole
@@ -25,28 +25,37 @@ from luxloop.world.frames import View, inverse, transform
 from luxloop.world.scene.body import Figure
 from luxloop.world.traffic.tracked import Category
 
-Layout = Literal["coco", "kitti"]
+Layout = Literal["coco", "kitti", "yolo"]
 
 
 @dataclass(frozen=True)
 class Labels:
-    """Files of labels beside frames. masks: of instances and parts. depth, lux: at each pixel."""
+    """Files of labels beside frames.
+
+    masks: of instances and parts. depth, lux: at each pixel. ignore_visible, ignore_height_px: visible share and height below which an
+    object counts neither for nor against a detector.
+    """
 
     layout: Layout
     masks: bool = False
     depth: bool = False
     lux: bool = False
+    ignore_visible: float = 0.0
+    ignore_height_px: float = 0.0
+
+    def ignores(self, seen: GroundTruth) -> bool:
+        return seen.visible < self.ignore_visible or seen.box[3] - seen.box[1] < self.ignore_height_px
 
 
-def choose_labels(layout: Layout | None, **files: bool) -> Labels | None:
+def choose_labels(layout: Layout | None, **wanted: Any) -> Labels | None:
     """Labels in a layout; None without a layout. Raises LuxloopError for an unknown layout, and for files without a layout."""
     if layout is None:
-        if lonely := [name for name, wanted in files.items() if wanted]:
-            raise LuxloopError(f"--{lonely[0]}: is written beside labels; give --labels coco or --labels kitti as well")
+        if lonely := [name for name, given in wanted.items() if given]:
+            raise LuxloopError(f"--{lonely[0]}: is written beside labels; give --labels coco, --labels kitti or --labels yolo as well")
         return None
     if layout not in get_args(Layout):
-        raise LuxloopError(f"labels = {layout!r}: is no layout; choose from {' and '.join(map(repr, get_args(Layout)))}")
-    return Labels(layout, **files)
+        raise LuxloopError(f"labels = {layout!r}: is no layout; choose from {', '.join(map(repr, get_args(Layout)))}")
+    return Labels(layout, **wanted)
 
 
 def _array(values: Tensor, dtype: Any) -> np.ndarray:
@@ -55,12 +64,14 @@ def _array(values: Tensor, dtype: Any) -> np.ndarray:
 
 FOLDER: Final = "labels"
 COCO, IMAGES = f"{FOLDER}/coco.json", f"{FOLDER}/images.json"
-IMAGE_2, LABEL_2, CALIB = (f"{FOLDER}/{name}" for name in ("image_2", "label_2", "calib"))
+IMAGE_FILES: Final[dict[Layout, dict[str, str]]] = {  # suffix by folder of the files of each image: the image first, as a hard link
+    "coco": {},
+    "kitti": {"image_2": "png", "label_2": "txt", "calib": "txt"},
+    "yolo": {"images": "png", "labels": "txt"},
+}
 PATTERNS: Final = {
     FOLDER: ("coco.json", "images.json", "instances_*.png", "parts_*.png", "depth_*.npz", "lux_*.npz"),
-    IMAGE_2: ("*.png",),
-    LABEL_2: ("*.txt",),
-    CALIB: ("*.txt",),
+    **{f"{FOLDER}/{name}": (f"*.{suffix}",) for each in IMAGE_FILES.values() for name, suffix in each.items()},
 }
 
 
@@ -88,8 +99,8 @@ class LabelRecorder:
 
     def begin(self) -> None:
         """Make the folders. Raises OSError where a folder cannot be made."""
-        for name in (FOLDER, *((IMAGE_2, LABEL_2, CALIB) if self._labels.layout == "kitti" else ())):
-            (self._directory / name).mkdir(exist_ok=True)
+        for name in ("", *IMAGE_FILES[self._labels.layout]):
+            (self._directory / FOLDER / name).mkdir(exist_ok=True)
 
     def add(self, reception: Reception) -> None:
         """Label the frames that arrived, each with the truth at the start of its exposure. Raises LuxloopError where a file cannot be
@@ -110,10 +121,10 @@ class LabelRecorder:
             "camera": {**camera, "T_body_camera": numbers(view.T_world_view)},
             "instances": self._world.instances,
             "parts": ("", *self._parts),
+            "categories": coco_categories(),
         }
         lists, file = {"images": self._images}, IMAGES
         if self._labels.layout == "coco":
-            head["categories"] = coco_categories()
             lists, file = {**lists, "annotations": self._annotations}, COCO
         atomic_write(self._directory / file, coco_document(head, lists))
 
@@ -127,24 +138,34 @@ class LabelRecorder:
             for kind, mask in (("instances", instances), ("parts", _array(lit.parts(self._parts) + 1, np.uint16))):
                 files[kind] = label_name(kind, number)
                 atomic_write(self._directory / files[kind], cv2.imencode(".png", mask, QUICK)[1].tobytes())
-        values = {"depth": lit.depth} if self._labels.depth else {}
-        values |= {"lux": world.illuminance(time_s, exposure.lights, exposure.commands)} if self._labels.lux else {}
+        lights = exposure.lights, exposure.commands
+        values = {"depth": _array(lit.depth, np.float32)} if self._labels.depth else {}
+        if self._labels.lux:
+            values["lux"] = _array(world.illuminance(time_s, *lights), np.float32)
         for kind, value in values.items():
             files[kind] = label_name(kind, number)
             with whole(self._directory / files[kind]) as part:
-                write_npz(part, [(kind, _array(value, np.float32))])
+                write_npz(part, [(kind, value)])
         self._images.append(json.dumps({"id": number, **files, "time_s": time_s, **coco_poses(lit)}))
         if self._labels.layout == "coco":
-            self._annotations += map(json.dumps, coco_annotations(number, objects, instances, len(self._annotations) + 1))
+            for each in objects:
+                entry = coco_annotation(number, each, instances, len(self._annotations) + 1, self._labels)
+                if self._labels.lux:
+                    entry |= light_on(each, instances, values["lux"], _array(world.luminance(time_s, *lights)[0], np.float32))
+                self._annotations.append(json.dumps(entry))
             return
-        name = f"{number:06d}"
-        with whole(self._directory / IMAGE_2 / f"{name}.png") as part:
-            link(self._directory / frame_name(number), part)
-        for folder, text in (
-            (LABEL_2, "".join(kitti_line(each, lit.view) for each in objects)),
-            (CALIB, kitti_calibration(world.view)),
-        ):
-            atomic_write(self._directory / folder / f"{name}.txt", text)
+        text = {
+            "label_2": "".join(kitti_line(each, lit.view, self._labels) for each in objects),
+            "calib": kitti_calibration(world.view),
+            "labels": "".join(yolo_line(each, lit.view) for each in objects if each.seen and not self._labels.ignores(each.seen)),
+        }
+        for name, suffix in IMAGE_FILES[self._labels.layout].items():
+            file = self._directory / FOLDER / name / f"{number:06d}.{suffix}"
+            if name in text:
+                atomic_write(file, text[name])
+            else:
+                with whole(file) as part:
+                    link(self._directory / frame_name(number), part)
 
 
 Entry = dict[str, Any]
@@ -174,26 +195,46 @@ def coco_poses(lit: LitScene) -> Entry:
     }
 
 
-def coco_annotations(image: int, objects: Iterable[TrueObject], instances: np.ndarray, first: int) -> Iterator[Entry]:
-    """Entries of the visible objects of an image, numbered from first on. instances: `[height, width]`, instance at each pixel."""
-    for number, each in enumerate(objects, first):
-        assert each.seen is not None and each.seen.category is not None
-        yield {
-            "id": number,
-            "image_id": image,
-            "category_id": CATEGORIES.index(each.seen.category) + 1,
-            "bbox": corner_and_size(each.seen.box),
-            "area": each.seen.pixels,
-            "iscrowd": 0,
-            "segmentation": run_lengths(instances == each.instance),
-            "name": each.name,
-            "instance": each.instance,
-            "visible": each.seen.visible,
-            "inside": each.seen.inside,
-            "bbox_whole": corner_and_size(each.seen.whole),
-            "T_world_object": numbers(each.boxed.T_world_object),
-            "size_m": [*each.boxed.size_m],
-        }
+def coco_annotation(image: int, each: TrueObject, instances: np.ndarray, number: int, labels: Labels) -> Entry:
+    """Entry of a visible object of an image. instances: `[height, width]`, instance at each pixel."""
+    assert each.seen is not None and each.seen.category is not None
+    return {
+        "id": number,
+        "image_id": image,
+        "category_id": CATEGORIES.index(each.seen.category) + 1,
+        "bbox": corner_and_size(each.seen.box),
+        "area": each.seen.pixels,
+        "iscrowd": int(labels.ignores(each.seen)),
+        "segmentation": run_lengths(instances == each.instance),
+        "name": each.name,
+        "instance": each.instance,
+        "visible": each.seen.visible,
+        "inside": each.seen.inside,
+        "bbox_whole": corner_and_size(each.seen.whole),
+        "T_world_object": numbers(each.boxed.T_world_object),
+        "size_m": [*each.boxed.size_m],
+    }
+
+
+AROUND: Final = 0.25  # of the box's width and height, to each side
+
+
+def light_on(each: TrueObject, instances: np.ndarray, lux: np.ndarray, luminance: np.ndarray) -> Entry:
+    """Mean illuminance in lx and luminance in cd/m^2 of an object's visible pixels, that of its background, and their Weber contrast.
+
+    The background is the median of the other pixels of the object's box, enlarged by AROUND; None where there are none. The contrast is
+    None where the background is dark.
+    """
+    assert each.seen is not None
+    left, top, width, height = corner_and_size(each.seen.box)
+    columns, rows = (
+        slice(max(math.floor(first - AROUND * size), 0), math.ceil(first + size + AROUND * size))
+        for first, size in ((left, width), (top, height))
+    )
+    own, seen = instances[rows, columns] == each.instance, luminance[rows, columns]
+    mean, behind = float(seen[own].mean()), None if own.all() else float(np.median(seen[~own]))
+    contrast = (mean - behind) / behind if behind else None
+    return {"lux": float(lux[rows, columns][own].mean()), "luminance_cd_m2": mean, "background_cd_m2": behind, "contrast": contrast}
 
 
 def run_lengths(mask: np.ndarray) -> Entry:
@@ -231,9 +272,11 @@ def kitti_calibration(view: View) -> str:
     return "".join(f"{name}: {' '.join(f'{value:.12e}' for value in values)}\n" for name, values in rows.items())
 
 
-def kitti_line(each: TrueObject, view: View) -> str:
-    """KITTI's line of a visible object."""
+def kitti_line(each: TrueObject, view: View, labels: Labels) -> str:
+    """KITTI's line of a visible object, DontCare for one that is ignored."""
     assert each.seen is not None and each.seen.category is not None
+    if labels.ignores(each.seen):
+        return f"DontCare -1 -1 -10 {' '.join(f'{value:.2f}' for value in each.seen.box)} -1 -1 -1 -1000 -1000 -1000 -10\n"
     T_camera_world, T = inverse(view.T_world_view), each.boxed.T_world_object
     x, y, z = transform(T_camera_world, T[:3, 3:])[:, 0].tolist()
     ahead = (T_camera_world[:3, :3] @ T[:3, 0]).tolist()
@@ -244,3 +287,11 @@ def kitti_line(each: TrueObject, view: View) -> str:
     values = [alpha, *each.seen.box, height, width, length, x, y, z, rotation_y]
     name = each.seen.category.capitalize() if each.seen.category in KITTI else "Misc"
     return f"{name} {1 - each.seen.inside:.2f} {occluded} {' '.join(f'{value:.2f}' for value in values)}\n"
+
+
+def yolo_line(each: TrueObject, view: View) -> str:
+    """YOLO's line of a visible object: class, and centre and size of the box as shares of the image."""
+    assert each.seen is not None and each.seen.category is not None
+    left, top, width, height = corner_and_size(each.seen.box)
+    values = ((left + width / 2) / view.width, (top + height / 2) / view.height, width / view.width, height / view.height)
+    return f"{CATEGORIES.index(each.seen.category)} {' '.join(f'{value:.6f}' for value in values)}\n"

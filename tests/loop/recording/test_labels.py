@@ -105,6 +105,33 @@ def test_depth_and_light_are_those_of_the_scene(drive):
         assert (folder / image["light"]).is_file()
 
 
+def test_light_on_an_object_and_its_contrast(drive):
+    folder, _ = drive
+    document = json.loads((folder / "labels" / "coco.json").read_text())
+    for each in document["annotations"]:
+        image = next(image for image in document["images"] if image["id"] == each["image_id"])
+        own = cv2.imread(str(folder / image["instances"]), -1) == each["instance"]
+        assert each["lux"] == pytest.approx(np.load(folder / image["lux"])["lux"][own].mean(), rel=1e-5)
+        light, background = each["luminance_cd_m2"], each["background_cd_m2"]
+        assert each["contrast"] == (pytest.approx(light / background - 1) if background else None)
+        assert light > (10 if each["name"] == "parked" else 0) * background, "a number plate sends light back"
+
+
+def test_small_and_hidden_objects_are_ignored_in_each_layout(drive, tmp_path):
+    first = {each["name"]: each for each in json.loads((drive[0] / "labels" / "coco.json").read_text())["annotations"][:2]}
+    between = (first["walker"]["visible"] + first["parked"]["visible"]) / 2
+    for layout in ("coco", "kitti", "yolo"):
+        run(street(steps=1), tmp_path / layout, video=False, report=False, labels=Labels(layout, ignore_visible=between))
+    kept = {each["name"]: each["iscrowd"] for each in json.loads((tmp_path / "coco" / "labels" / "coco.json").read_text())["annotations"]}
+    assert kept == {"walker": 1, "parked": 0}
+    kitti, yolo = (next((tmp_path / each).glob("*.txt")).read_text() for each in ("kitti/labels/label_2", "yolo/labels/labels"))
+    assert sorted(line.split()[0] for line in kitti.splitlines()) == ["Car", "DontCare"]
+    label, u, v, width, height = map(float, yolo.split())
+    assert label == 0 and len(list((tmp_path / "yolo" / "labels" / "images").iterdir())) == 1
+    box = [320 * (u - width / 2), 160 * (v - height / 2), 320 * width, 160 * height]
+    assert box == pytest.approx(first["parked"]["bbox"], abs=1e-3), "six digits of 320 px"
+
+
 def test_light_is_that_which_the_frame_shows(tmp_path):
     simulation = prepare(street(steps=1), "cpu")
     (result,) = simulation.evaluations()
@@ -145,7 +172,7 @@ def test_kitti_boxes_lie_where_the_calibration_puts_the_objects(tmp_path):
 
 
 def test_what_cannot_be_labelled_is_said_in_a_sentence(lux, tmp_path):
-    with refusal("labels = 'cocco': is no layout; choose from 'coco' and 'kitti'"):
+    with refusal("labels = 'cocco': is no layout; choose from 'coco', 'kitti', 'yolo'"):
         run(street(), tmp_path / "drive", labels="cocco")  # type: ignore[arg-type]
     assert_refused(lux("run", "small.toml", "--depth"), "--depth: is written beside labels")
     bare = ("--no-report", "--no-video")

@@ -77,20 +77,54 @@ def test_scenes_are_made_once_and_joined(lux, file, tmp_path):
     assert len(coco.anns) == len(coco.dataset["annotations"]) > 2, "no number twice"
 
 
-def test_kitti_numbers_the_images_of_all_scenes(lux, file, tmp_path):
-    file.write_text(FILE.replace('"coco"', '"kitti"').replace(', "camera.latency_steps=0:1"', "").replace("steps = 2", "steps = 1"))
-    code, out, _ = lux("dataset", "night.toml", "--scenes", "2", "--jobs", "1", "--out", "set")
-    assert code == 0 and "2 frames" in out
-    for folder, suffix in (("image_2", "png"), ("label_2", "txt"), ("calib", "txt")):
-        assert sorted(path.name for path in (tmp_path / "set" / "training" / folder).iterdir()) == [f"00000{k}.{suffix}" for k in (0, 1)]
-    images = json.loads((tmp_path / "set" / "images.json").read_text())["images"]
-    for number, image in enumerate(images):
-        joined = (tmp_path / "set" / "training" / "image_2" / f"{number:06d}.png").read_bytes()
-        assert image["id"] == number and joined == (tmp_path / "set" / image["file_name"]).read_bytes()
+@pytest.mark.parametrize("layout", ["kitti", "yolo"])
+def test_images_of_all_scenes_are_numbered_where_programs_read_them(layout, lux, file, tmp_path):
+    """Of three scenes two are for training and one is for validation."""
+    text = FILE.replace('"coco"', f'"{layout}"\nsplit = {{ val = 0.4 }}').replace(', "camera.latency_steps=0:1"', "")
+    file.write_text(text.replace("steps = 2", "steps = 1"))
+    code, out, _ = lux("dataset", "night.toml", "--scenes", "3", "--jobs", "1", "--out", "set")
+    document = json.loads((tmp_path / "set" / "images.json").read_text())
+    of = [document["scenes"][image["scene"]]["split"] for image in document["images"]]
+    assert code == 0 and "3 frames" in out and sorted(of) == ["train", "train", "val"]
+    folder = tmp_path / "set" / layout
+    if layout == "kitti":
+        texts = [folder / "training" / "label_2" / f"{k:06d}.txt" for k in range(3)]
+        for part in ("train", "val"):
+            listed = (folder / "ImageSets" / f"{part}.txt").read_text().split()
+            assert listed == [f"{k:06d}" for k in range(3) if of[k] == part]
+        assert sorted(path.name for path in (folder / "training" / "calib").iterdir()) == [f"{k:06d}.txt" for k in range(3)]
+        images = [each.parents[1] / "image_2" / f"{each.stem}.png" for each in texts]
+    else:
+        texts = [folder / "labels" / of[k] / f"{k:06d}.txt" for k in range(3)]
+        assert (folder / "data.yaml").read_text().startswith("train: images/train\nval: images/val\nnames:\n  0: car\n")
+        images = [each.parents[2] / "images" / of[k] / f"{each.stem}.png" for k, each in enumerate(texts)]
+    for image, joined, text in zip(document["images"], images, texts, strict=True):
+        assert joined.read_bytes() == (tmp_path / "set" / image["file_name"]).read_bytes()
+        assert text.is_file()
+    assert any(text.read_text() for text in texts)
+
+
+def test_parts_of_a_data_set_are_whole_scenes(lux, file, tmp_path):
+    file.write_text(FILE.replace("steps = 2", "steps = 1\nvideo = true\nsplit = { val = 0.25, test = 0.25 }\nlicence = { name = 'CC0' }"))
+    many = read(file, 400).scenes
+    share = {part: np.mean([each.split == part for each in many]) for part in ("train", "val", "test")}
+    assert all(abs(share[part] - expected) < 0.09 for part, expected in (("train", 0.5), ("val", 0.25), ("test", 0.25))), (
+        "4 standard errors"
+    )
+    assert [each.split for each in read(file, 5).scenes] == [each.split for each in many[:5]], "whatever their number"
+    assert lux("dataset", "night.toml", "--scenes", "4", "--jobs", "1", "--out", "set")[0] == 0
+    for part in ("train", "val", "test"):
+        document = json.loads((tmp_path / "set" / f"coco_{part}.json").read_text())
+        assert [each["seed"] for each in document["scenes"]] == [each.seed for each in many[:4] if each.split == part]
+        assert document["licenses"][0]["name"] == "CC0" and "luxloop" in document["info"]["version"]
+    assert all((tmp_path / "set" / "scenes" / each.name / "video.mp4").is_file() for each in many[:4])
+    assert lux(*ONE_SCENE[:3], "1", "--jobs", "1", "--out", "set")[0] == 0
+    file.write_text(FILE.replace("steps = 2", "steps = 1"))
+    assert lux(*ONE_SCENE)[0] == 0 and [path.name for path in (tmp_path / "set").glob("*.json")] == ["coco.json"]
 
 
 def test_scenes_follow_from_seeds_and_vary_as_told(file):
-    _, scenes = read(file, 24)
+    scenes = read(file, 24).scenes
     assert {each.variant for each in scenes} == {"low", "high"}
     assert [each.seed for each in scenes] == [*range(5, 29)]
     for each in scenes:
@@ -99,14 +133,14 @@ def test_scenes_follow_from_seeds_and_vary_as_told(file):
     assert np.median([each.scenario.light.ambient_lx for each in scenes]) < 0.12, "even in the logarithm"
     assert {each.scenario.camera.latency_steps for each in scenes} == {0, 1}
     assert len({each.scenario.traffic.seed for each in scenes if each.scenario.traffic}) == 24
-    assert read(file, 3)[1][2].scenario == scenes[2].scenario, "whatever their number"
+    assert read(file, 3).scenes[2].scenario == scenes[2].scenario, "whatever their number"
 
 
 def test_a_scene_that_fails_leaves_nothing(file, tmp_path):
-    _, (scene,) = read(file, 1)
+    (scene,) = read(file, 1).scenes
     broken = scene.scenario.model_dump(mode="json") | {"plant": {"kind": "recording", "folder": str(tmp_path)}}
     with pytest.raises(LuxloopError):
-        make(broken, {}, {"layout": "coco"}, str(tmp_path / "000005"), "")
+        make(broken, {}, {"layout": "coco"}, False, str(tmp_path / "000005"), "")
     assert [path.name for path in tmp_path.iterdir()] == ["night.toml"]
 
 
@@ -116,6 +150,8 @@ WRONG = {  # by what is said, in parts
     "night.toml: variants.high | beam": ('"high"', '"hihg"'),
     "night.toml: set: scene 5: ": ('model = "ssl-hd-lores"', 'model = "no-such"'),
     "night.toml: mask: unknown key | masks": ("masks", "mask"),
+    "night.toml: labels: | split = { val": ('"coco"', '"yolo"'),
+    "night.toml: split: | no scene for training": ("steps = 2", "steps = 2\nsplit = { val = 0.5, test = 0.5 }"),
 }
 
 
@@ -147,7 +183,7 @@ def test_joined_labels_of_scenes_that_are_replaced_do_not_outlive_them(lux, file
     assert lux(*ONE_SCENE)[0] == 0
     file.write_text(FILE.replace('"coco"', '"kitti"'))
     assert lux(*ONE_SCENE)[0] == 0
-    assert sorted(path.name for path in (tmp_path / "set").iterdir()) == ["images.json", "scenes", "scenes.jsonl", "training"]
+    assert sorted(path.name for path in (tmp_path / "set").iterdir()) == ["images.json", "kitti", "scenes", "scenes.jsonl"]
 
 
 def test_files_of_others_stay(lux, file, tmp_path):
