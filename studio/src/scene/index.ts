@@ -291,12 +291,15 @@ export class SceneView {
   }
 
   private changed(): void {
-    this.due ||= requestAnimationFrame(() => {
-      this.due = 0;
-      if (!this.container.clientWidth || !this.container.clientHeight) return; // hidden; it is resized when it is shown
-      this.pace.moving();
-      this.render();
-    });
+    this.due ||= requestAnimationFrame(() => this.draw());
+  }
+
+  private draw(): void {
+    cancelAnimationFrame(this.due);
+    this.due = 0;
+    if (!this.container.clientWidth || !this.container.clientHeight) return; // hidden; it is resized when it is shown
+    this.pace.moving();
+    this.render();
   }
 
   private resize(): void {
@@ -304,7 +307,8 @@ export class SceneView {
     if (!width || !height) return;
     this.renderer.setSize(width, height);
     this.viewpoints.resize(width / height);
-    this.changed();
+    this.relabel();
+    this.draw(); // at once, since a canvas of another size is black
   }
 
   private place(step: StepMessage, run: Run): void {

@@ -143,6 +143,14 @@ def test_the_wheel_zooms_the_wall_at_the_cursor_and_labels_never_overlap(page):
     page.execute_script("luxloop.store.set({ rule: '' })")
 
 
+def test_axes_of_the_wall_have_their_names_where_its_controls_make_it_smaller(page):
+    page.execute_script("luxloop.store.set({ viewpoint: 'wall' })")
+    for name in ("angle up", "horizontal angle to the right"):
+        label = f"[...document.querySelectorAll('.scene-labels span')].find((each) => each.innerText === '{name}')"
+        until(page, f"return {label}?.checkVisibility({{ visibilityProperty: true }})")
+    page.execute_script("luxloop.store.set({ viewpoint: 'orbit' })")
+
+
 def test_a_drag_that_begins_on_a_label_moves_the_wall_and_selects_no_text(page):
     page.execute_script("luxloop.store.set({ viewpoint: 'wall', rule: 'r149-driving-a' })")
     label = until(page, "return [...document.querySelectorAll('.scene-labels [title]')].find((each) => each.innerText.includes('H-V'))")
