@@ -241,19 +241,32 @@ class LampDriver:
             else module.utilisation(plan, SecondaryRays(now.lights, own, street_lamps, occluded))
             for own, (module, light) in enumerate(zip(modules, known, strict=True))
         }
-        limited, powers = [], {}
+        limited, factors = [], {}
         for side in dict.fromkeys(module.side for module in modules):
             mine = [module for module in modules if module.side == side]
-            shown, factor, most = [wanted[module.name] for module in mine], 1.0, sum(each.flux_lm for each in mine)
+            shown, factors[side] = [wanted[module.name] for module in mine], 1.0
             if params.power_limit is not None:
                 flux = torch.cat([module.intensity * module.flux for module in mine])
-                u, least = limit_power(torch.cat([each.u for each in shown]), flux, most * params.power_limit)
-                parts, factor = u.split([len(module.flux) for module in mine]), float(least)
+                most = sum(each.flux_lm for each in mine) * params.power_limit
+                u, least = limit_power(torch.cat([each.u for each in shown]), flux, most)
+                parts, factors[side] = u.split([len(module.flux) for module in mine]), float(least)
                 shown = [Utilisation(part, each.band) for part, each in zip(parts, shown, strict=True)]
-            total = sum(module.intensity * _flux_lm(each, module.flux) for each, module in zip(shown, mine, strict=True))
-            powers[side] = LampPower(total, total / most, factor, self.scenario.headlight.power_w(total), total)
             limited += shown
-        return tuple(limited), powers
+        return tuple(limited), self.powers(modules, limited, factors)
+
+    def powers(
+        self, modules: Sequence[ShiningModule], lights: Sequence[Utilisation], factors: Mapping[str, float]
+    ) -> Mapping[str, LampPower]:
+        """Power of each lamp. lights: of the modules. factors: dimming by the power limit, by lamp."""
+        found = {}
+        for side, factor in factors.items():
+            mine = [(module, light) for module, light in zip(modules, lights, strict=True) if module.side == side]
+            total, most = (
+                sum(module.intensity * _flux_lm(light, module.flux) for module, light in mine),
+                sum(each.flux_lm for each, _ in mine),
+            )
+            found[side] = LampPower(total, total / most, factor, self.scenario.headlight.power_w(total), total)
+        return found
 
 
 def _drawn(plan: Plan, module: ShiningModule) -> int:

@@ -184,8 +184,10 @@ class Run:
         if lighting.painted == simulation.scenario.lighting.painted:
             return result
         self._below = self._below or tuple(zip(lights_without_paint(simulation, result), mask_limits(simulation, result), strict=True))
-        lights = (self.simulation.planner.paint(each.name, *below).u for each, below in zip(simulation.modules, self._below, strict=True))
-        return replace(result, lights=tuple(lights))
+        lights = [self.simulation.planner.paint(each.name, *below) for each, below in zip(simulation.modules, self._below, strict=True)]
+        factors = {side: power.factor for side, power in result.powers.items()}
+        powers = simulation.lamps.powers(simulation.lamps.aim(result.now), lights, factors)
+        return replace(result, lights=tuple(each.u for each in lights), powers=powers)
 
     def _take_snapshot(self, simulation: Simulation, result: Evaluation, before: Snapshot | None, wanted: Collection[View]) -> Snapshot:
         self.bodies = bodies_at(simulation, result.time_s, self.bodies)

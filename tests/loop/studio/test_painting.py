@@ -125,6 +125,13 @@ def test_strokes_are_taken_back_and_saved(served, bare, tmp_path, monkeypatch):
         until_lit(bare, light)
 
 
+def test_the_flux_noted_at_rest_is_that_of_the_paint(served, bare):
+    rows, cols = SIZE
+    paint(bare, [0, rows, 0, cols], 0, over=False)
+    head, _ = bare.until(lambda head: head["type"] == "step" and any(each.startswith("left 0 lm, right ") for each in head["notes"]))
+    assert not any("right 0 lm" in each for each in head["notes"])  # the other module keeps its beam
+
+
 def test_what_does_not_fit_changes_nothing(served, editor):
     before = served.scenario
     for module, box, words in (
