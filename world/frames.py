@@ -61,6 +61,13 @@ def inverse(T: Tensor) -> Tensor:
     return pose(-(R_t @ T[..., :3, 3:])[..., 0], R_t)
 
 
+def is_rigid(T: NDArray[np.float64], tolerance: float = 1e-6) -> bool:
+    """Whether `[4, 4]` is a pose: finite, a rotation within the tolerance, and a position."""
+    R = T[:3, :3].clip(-2, 2)  # so that products do not overflow
+    turns = np.abs(R @ R.T - np.eye(3)).max() <= tolerance and np.linalg.det(R) > 0
+    return bool(turns and np.isfinite(T).all() and (T[3] == (0, 0, 0, 1)).all())
+
+
 def transform(T: Tensor, points: Tensor) -> Tensor:
     """Take points `[..., 3, N]` in m of frame b to frame a with `T_a_b` `[..., 4, 4]`."""
     return T[..., :3, :3] @ points + T[..., :3, 3:]

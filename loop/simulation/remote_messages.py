@@ -12,6 +12,7 @@ from pydantic import AfterValidator, Field, TypeAdapter
 from luxloop.controllers.situation import TrackedObject
 from luxloop.loop.simulation.protocol import Objects
 from luxloop.perception.egomotion import Sensor
+from luxloop.world.frames import is_rigid
 from luxloop.world.messages import LARGEST_HEAD, LENGTH, Arrays, given_arrays, understood, unpack
 from luxloop.world.params import Params
 from luxloop.world.traffic.tracked import Category
@@ -33,8 +34,7 @@ Side = Annotated[float, Field(gt=0, le=1000)]  # m
 
 def _rigid(numbers: tuple[float, ...]) -> tuple[float, ...]:
     T = np.array(numbers).reshape(4, 4)
-    R = np.clip(T[:3, :3], -2, 2)  # so that products do not overflow
-    if np.abs(R @ R.T - np.eye(3)).max() > ROUNDING or np.linalg.det(R) < 0 or (T[3] != (0, 0, 0, 1)).any():
+    if not is_rigid(T, ROUNDING):
         raise ValueError("is no pose; give a rotation and a translation in m, row by row, and 0, 0, 0, 1")
     if np.abs(T[:3, 3]).max() > FARTHEST_M:
         raise ValueError(f"lies farther away than {FARTHEST_M} m; give metres")

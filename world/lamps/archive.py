@@ -16,6 +16,7 @@ from torch import Tensor
 from luxloop.world.arrays import Arrays, read_npz, write_npz
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import afford, installed_version, reading, whole
+from luxloop.world.frames import is_rigid
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import ALWAYS, Lamp, Module
 from luxloop.world.params import ModuleName, Params
@@ -27,7 +28,6 @@ VERSION: Final = 1
 WRITER = "`luxloop headlight build` writes it"
 BYTES_A_PLACE = 16  # of a pixel or texel, in the matrix' row pointers, textures and utilisations
 MOUNT = ("swivel_deg", "level_deg", "draws_only")  # of a module, besides its pose
-RIGID = 1e-6  # tolerance of rotation matrices
 
 
 class ModuleHeader(Params):
@@ -186,20 +186,10 @@ def _module(header: ModuleHeader, prefix: str, arrays: Arrays) -> Module:
     chroma = (
         _tensor(arrays, f"{prefix}_chroma", (3, nnz), np.float32, lambda a: np.isfinite(a).all()) if f"{prefix}_chroma" in arrays else None
     )
-    pose = _tensor(arrays, f"{prefix}_pose", (4, 4), np.float64, _rigid)
+    pose = _tensor(arrays, f"{prefix}_pose", (4, 4), np.float64, is_rigid)
     grid = header.model_dump(exclude={"name", "headlight", *MOUNT})
     light = Headlight(name=header.headlight, matrix=Csr(indptr, indices, values, n_pixels), chroma=chroma, **grid)
     return Module(header.name, light, pose, **{name: getattr(header, name) for name in MOUNT})
-
-
-def _rigid(pose: np.ndarray[Any, Any]) -> bool:
-    turn = pose[:3, :3]
-    return bool(
-        np.isfinite(pose).all()
-        and (pose[3] == (0, 0, 0, 1)).all()
-        and np.abs(turn @ turn.T - np.eye(3)).max() < RIGID
-        and np.linalg.det(turn) > 0
-    )
 
 
 def _share(array: np.ndarray[Any, Any]) -> np.bool_:

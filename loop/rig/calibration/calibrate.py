@@ -22,6 +22,7 @@ from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.world.arrays import read_npz, write_npz
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import content, reading, whole
+from luxloop.world.frames import is_rigid
 
 FORMAT = "luxloop rig calibration"
 AGAIN = "run `luxloop rig calibrate` again"
@@ -124,8 +125,7 @@ def _array(arrays: dict[str, Any], name: str, shape: tuple[int, ...]) -> Array:
 
 
 def _pose(T: Array) -> Pose:
-    turn = T[:3, :3]
-    if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-6 or np.linalg.det(turn) < 0 or (T[3] != (0, 0, 0, 1)).any():
+    if not is_rigid(T):
         raise ValueError("a pose is none")
     return Pose.of(T)
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 import torch
+from scipy.ndimage import map_coordinates
 
 from luxloop.loop.rig.arrays import Array
-from luxloop.loop.rig.calibration.setups import neighbours
 from luxloop.loop.rig.calibration.shapes import REACH, PixelMeasurements, borders
 from luxloop.loop.rig.calibration.structured_light import Chart
 from luxloop.loop.scenario.model import Scenario
@@ -62,23 +62,14 @@ def headlight(name: str, grid: TexelGrid, measured: PixelMeasurements, lamp_of: 
             r, c, at = r[inside], c[inside], texel[inside]
             dr, dc = row[at] - r - 0.5 - measured.shift_row[r, c], col[at] - c - 0.5 - measured.shift_col[r, c]
             block = block_of[0][r], block_of[1][c]
-            share = _read(measured.shapes, block, dr, dc)
+            place = [(each + REACH) * (n / (2 * REACH)) - 0.5 for each, n in zip((dr, dc), measured.shapes.shape[2:], strict=True)]
+            share = map_coordinates(measured.shapes, (*block, *place), order=1, mode="grid-constant")  # zero outside of a shape
             keep = share > least[block]
             entries.append((at[keep], (r * cols + c)[keep], (share * lit[r, c])[keep]))
         at, pixel, value = (np.concatenate(each) for each in zip(*entries, strict=True))
         parts.append(sp.csr_array((value.astype(np.float32), (at, pixel)), shape=(row.size, rows * cols)))
     matrix = Csr.from_scipy(sp.vstack(parts, format="csr"))
     return Headlight(name=name, matrix=matrix, pixel_rows=rows, pixel_cols=cols, **vars(grid))
-
-
-def _read(shapes: Array, block: tuple[Array, Array], dr: Array, dc: Array) -> Array:
-    """Shapes of blocks `[n]` at offsets `[n]` from the pixel centre in lamp pixels, bilinear between texels, zero outside."""
-    n_r, n_c = shapes.shape[2:]
-    r, c = (dr + REACH) * (n_r / (2 * REACH)) - 0.5, (dc + REACH) * (n_c / (2 * REACH)) - 0.5
-    total = np.zeros(len(r))
-    for row, col, weight, inside in neighbours(r, c, (n_r, n_c)):
-        total += np.where(inside, weight * shapes[(*block, row.clip(0, n_r - 1), col.clip(0, n_c - 1))], 0)
-    return total
 
 
 def refuse_both_sides(scenario: Scenario) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 
-from luxloop.loop.rig.arrays import Array, Grids, Image, Indices, Mask
+from luxloop.loop.rig.arrays import Array, Grids, Image
 from luxloop.loop.rig.light import Shine
 from luxloop.loop.rig.params import RigParams
 from luxloop.loop.rig.rectification import grey
@@ -95,14 +95,6 @@ def _spread(transport: Any, n: int) -> sp.csr_matrix:
     index = transport.index.numpy()
     rows = sp.csr_matrix((np.ones(len(index), np.float32), (index, np.arange(len(index)))), shape=(n, len(index)))
     return rows @ transport.matrix.to_scipy()
-
-
-def neighbours(row: Array, col: Array, shape: tuple[int, int]) -> Iterator[tuple[Indices, Indices, Array, Mask]]:
-    """The four neighbours of positions `[n]` in a raster, in turn: row, column, bilinear weight, and whether the neighbour is inside."""
-    r0, c0 = np.floor(row).astype(int), np.floor(col).astype(int)
-    for i, j in itertools.product((0, 1), (0, 1)):
-        r, c = r0 + i, c0 + j
-        yield r, c, np.abs(1 - i - (row - r0)) * np.abs(1 - j - (col - c0)), (r >= 0) & (r < shape[0]) & (c >= 0) & (c < shape[1])
 
 
 TRIES = 20  # exposures for one frame, and for light that the rate limit delays

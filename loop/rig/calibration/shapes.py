@@ -15,7 +15,6 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from luxloop.loop.rig.arrays import Array, Indices, Mask
-from luxloop.loop.rig.calibration.setups import neighbours
 from luxloop.loop.rig.calibration.structured_light import Chart
 
 SPACING = 5  # pixels from one lit pixel of a comb to the next, in rows and columns; more than 2 * REACH
@@ -175,9 +174,13 @@ def _weights(at: Windows, texels: tuple[int, int], shape: tuple[int, int]) -> Ar
     n, m, s = at.dr.shape
     base = np.arange(n * m).repeat(s) * (shape[0] * shape[1])
     total = np.zeros(n * m * shape[0] * shape[1], np.float32)
-    place = [((d + REACH) * t - 0.5).ravel() for d, t in ((at.dr, texels[0]), (at.dc, texels[1]))]
-    for row, col, weight, inside in neighbours(place[0], place[1], shape):
-        total += np.bincount((base + row * shape[1] + col)[inside], weight[inside] / s, len(total))
+    row, col = (((d + REACH) * t - 0.5).ravel() for d, t in ((at.dr, texels[0]), (at.dc, texels[1])))
+    r0, c0 = np.floor(row).astype(int), np.floor(col).astype(int)
+    for i, j in itertools.product((0, 1), repeat=2):
+        r, c = r0 + i, c0 + j
+        weight = np.abs(1 - i - (row - r0)) * np.abs(1 - j - (col - c0)) / s
+        inside = (r >= 0) & (r < shape[0]) & (c >= 0) & (c < shape[1])
+        total += np.bincount((base + r * shape[1] + c)[inside], weight[inside], len(total))
     return total.reshape(n, m, -1)
 
 
