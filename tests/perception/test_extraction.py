@@ -155,17 +155,3 @@ def test_the_gate_names_its_reason(device):
     assert gate(torch.zeros(2, 3, device=device), expected, PARAMS).shape == (2, 3)
     for area, wanted, code in ((0.0, 0.0, "NOTHING"), (5.0, 0.0, "TOO_LARGE"), (math.nan, 5.0, "NOTHING")):
         assert gate(torch.tensor(area), torch.tensor(wanted), PARAMS) == ExtractionStatus[code]
-
-
-def test_binary_edges_count_wholly():
-    contrast = torch.tensor([[-5.0, 0.0, 1.0, 1.1, 5.0, 10.0, 70.0]])
-    assert symbol_image(contrast, torch.tensor(1.0), BINARY).tolist() == [[0, 0, 0, 1, 1, 1, 1]]
-
-
-def test_grey_edges_count_by_their_lit_share():
-    limit = torch.tensor(1.0)
-    contrast = torch.tensor([[-5.0, 0.0, 1.0, 3.5, 6.0, 8.0, 10.0]])
-    # From the threshold, 1, to 0.6 of the brightest, 6.
-    assert_close(symbol_image(contrast, limit, GREY), torch.tensor([[0, 0, 0, 0.5, 1, 1, 1]]))
-    # Where the brightest is near the threshold half a threshold more is enough: otherwise noise would count wholly.
-    assert_close(symbol_image(torch.tensor([[1.0, 1.2, 1.5, 1.6]]), limit, GREY), torch.tensor([[0, 0.4, 1, 1]]))

@@ -122,28 +122,6 @@ def test_shadows_begin_at_the_foot_at_all_distances(road, x_m, thickness_m):
     assert sees(triangles, WIDE.origin, face).all()
 
 
-@pytest.mark.parametrize("x_m", [13.0, 17.0, 50.0])
-def test_the_shadow_of_a_box_begins_at_its_foot(x_m):
-    triangles = scene_with(flat(), box(x_m))
-    y = torch.linspace(0.15, 1.05, 50)
-    behind = torch.linspace(x_m - 0.5 + 1.5 * TOLERANCE_M, x_m + 8, 500)[:, None]  # under the box first
-    assert not lit(triangles, on_road(behind, y).flatten(1)).any()
-    before = torch.linspace(10.0, x_m - 0.501, 500)[:, None]
-    assert lit(triangles, on_road(before, y).flatten(1)).all()
-    side = torch.tensor([0.6 - 0.501, 0.6 + 0.501])
-    assert lit(triangles, on_road(torch.full((2,), x_m - 0.5), side)).all()
-    front = torch.stack([torch.full((50,), x_m - 0.5), y, torch.linspace(0.0, 0.99, 50)])
-    assert lit(triangles, front).all()
-
-
-def test_a_low_box_throws_a_shadow_of_the_right_length():
-    tip = 10.5 * 0.75 / (0.75 - 0.3)
-    x = torch.linspace(10.6, 25, 3000)
-    dark = x[~lit(scene_with(flat(), box(10.0, height_m=0.3)), on_road(x, 0.6))]
-    assert abs(dark.max() - tip) < 0.0048 + TOLERANCE_M  # the points' spacing
-    assert len(dark) == ((x >= dark.min()) & (x <= dark.max())).sum()
-
-
 def test_nothing_behind_a_lamp_is_in_the_way_nor_what_stands_behind_a_point():
     triangles = scene_with(flat(), box(-6.0), box(20.0))
     points = torch.tensor([[19.0, 0.6, 0.1], [30.0, 0.6, 30.0], [0.0, 0.6, 0.0], [25.0, 0.6, 0.0], [-9.0, 0.6, 0.0]]).T

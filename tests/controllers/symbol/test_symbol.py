@@ -396,14 +396,6 @@ def test_converges_on_an_ideal_plant():
     assert -error[:, 2:].min() < 0.25
 
 
-def test_moves_against_the_error():
-    controller = thesis_pid()
-    state = controller.step(controller.start(TARGET), report(torch.tensor([0.1, -0.1, 0.01, -0.01])))
-    moved = pose_of(controller, state) - TARGET
-    # (P + I) e on the first step, without a derivative.
-    assert_close(moved, torch.tensor([-0.125, 0.125, -0.006, 0.006]), rtol=1e-4, atol=1e-6)
-
-
 def test_the_light_of_two_lamps_adds_up_to_that_of_one():
     both = sensor(n_lamps=2).model
     lights = projector(n_lamps=2).light(TARGET)

@@ -13,12 +13,12 @@ from luxloop import Arrivals, Exposure, ModuleCommand, Simulation, prepare, vali
 from luxloop.loop.scenario.overrides import overridden
 from luxloop.loop.simulation.protocol import ExposurePair, pair_frames
 from luxloop.loop.simulation.simulated import SimulatedPlant
-from tests.loop.conftest import SMALL, assert_refused, box
+from tests.loop.conftest import SMALL, box
 
 OWN = """
 from dataclasses import replace
 import torch
-from luxloop import Arrivals, Frame, Sample, simulated_plant
+from luxloop import Frame, Sample, simulated_plant
 
 class Blind:
     def __init__(self, scenario, modules, lost=()):
@@ -56,12 +56,6 @@ class Silent(Miscounting):
     def show(self, state, exposure):
         state, came = self.inner.show(state, exposure)
         return state, replace(came, frames=())
-
-class Half:
-    def __init__(self, scenario, modules):
-        pass
-    def start(self):
-        return None, Arrivals(0.0)
 """
 
 
@@ -170,14 +164,6 @@ def test_samples_of_a_plant_of_ones_own_become_the_ego_motion():
         state, result = simulation.step(state)
         result = simulation.evaluate(result)
         assert bool(result.symbol.pose.isfinite().all()), "what no sensor tells is left open"
-
-
-@pytest.mark.usefixtures("own")
-@pytest.mark.parametrize(
-    ("plant", "words"), [("own:Half", "has no method show"), ("own:Nobody", "module own has no Nobody"), ("simulatd", "plant.kind")]
-)
-def test_a_plant_that_is_none_is_refused(lux, plant, words):
-    assert_refused(lux("check", "small.toml", "--set", f"plant.kind={plant}"), words)
 
 
 @pytest.mark.parametrize("renderer", ["opengl", "raycast"])

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from luxloop import LuxloopError, Utilisation, run
+from luxloop import Utilisation, run
 from luxloop.loop.recording.record import row
-from luxloop.loop.simulation.build import check_truth
 from luxloop.loop.simulation.projections import projection_metrics
 from luxloop.world.scene.vehicle import VehiclePath
 from tests.loop.conftest import simulated
@@ -119,8 +118,3 @@ def test_checks_judge_projections_over_a_run(seen, tmp_path):
     simulation = simulated(BAR, checks=checks)
     summary = run(simulation.scenario, tmp_path / "run", video=False, report=False).summary["checks"]
     assert summary["place"]["passed"] and not summary["intensity"]["passed"]
-
-
-def test_a_plant_that_does_not_know_the_truth_refuses_to_judge_projections(seen):
-    with pytest.raises(LuxloopError, match="judge_projections: needs the truth"):
-        check_truth(simulated(BAR).scenario, known=False)

@@ -14,8 +14,6 @@ from luxloop.world.roads.base import Floats, MeshGrid
 from luxloop.world.roads.shapes import Flat, GradeParams, Profile
 from luxloop.world.scene.vehicle import COLUMNS, STANDING, CourseParams, Motion, SuspensionParams, VehicleParams, drive
 
-LAMP = torch.tensor([[0.0], [0.0], [0.75]], dtype=torch.float64)
-
 
 @dataclass(frozen=True)
 class Wavy:
@@ -167,12 +165,3 @@ def test_braking_takes_the_way_that_it_should():
     motion = driven((0, 20, 0), (1, 20, 0), (5, 0, 0))
     assert motion.at(9.0).T_world_ground[0, 3] == pytest.approx(20 + 40, abs=1e-6)
     assert motion.at(3.0).acceleration_m_s2 == pytest.approx(-5)
-
-
-def test_the_nose_goes_down_when_braking_and_up_when_accelerating():
-    for final_m_s, sign in ((10.0, 1), (50.0, -1)):
-        state = driven((0, 30, 0), (10, final_m_s, 0)).at(9.0)
-        assert sign * state.pitch_rad == pytest.approx(math.radians(2 * 0.2), rel=1e-3)  # e^(-0.35 * 8.8 * 9) is left of the ringing
-        lamp = transform(state.T_ground_body, LAMP)
-        ahead = transform(state.T_ground_body, LAMP + torch.tensor([[10.0], [0.0], [0.0]]))
-        assert sign * (0.75 - float(lamp[2])) > 0 and sign * float(lamp[2] - ahead[2]) > 0
