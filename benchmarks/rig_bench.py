@@ -12,7 +12,8 @@ from luxloop import Scenario, validate
 from luxloop.loop.rig.arrays import Array
 from luxloop.loop.rig.calibration.geometry import CameraModel, Geometry, Pose
 from luxloop.loop.rig.calibration.intrinsics import Corners, lens
-from luxloop.loop.rig.calibration.setups import SimulatedSetup, neighbours, simulated_setup
+from luxloop.loop.rig.calibration.setups import SimulatedSetup, simulated_setup
+from luxloop.loop.rig.calibration.shapes import neighbours
 from luxloop.loop.rig.simulated.faults import LensParams
 from luxloop.loop.rig.simulated.lens import Lens, distort, undistort
 from luxloop.loop.simulation.lamps import lamp_modules, mount

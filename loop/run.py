@@ -88,8 +88,8 @@ def run(  # noqa: PLR0913 (independent options)
     """
     # Recording modules, imported here so that `prepare` need not load them.
     from luxloop.loop.recording.recorder import Recorder, refuse_other_files
-    from luxloop.loop.report.film import Film
     from luxloop.loop.report.highlights import Highlights
+    from luxloop.loop.report.onlooker import Film
 
     if folder is not None and not isinstance(folder, str | Path):
         raise LuxloopError(f"run: folder is a {type(folder).__name__}, not a path; give other values of keys as overrides=[...]")

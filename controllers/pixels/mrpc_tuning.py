@@ -17,7 +17,7 @@ from scipy.optimize import differential_evolution, minimize
 from torch import Tensor
 
 from luxloop.controllers.pixels.mrpc import FAINT
-from luxloop.controllers.pixels.sampling import pixel_spread
+from luxloop.controllers.pixels.pixel_major import pixel_spread
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
 from luxloop.world.spmv import Csr

@@ -204,9 +204,9 @@ def digitise(
     from luxloop.loop.rig.calibration import digitise as steps
     from luxloop.loop.rig.calibration import pictures as report
     from luxloop.loop.rig.calibration.calibrate import load, refuse_name
+    from luxloop.loop.rig.calibration.digitise import lamp_of, refuse_both_sides
     from luxloop.loop.rig.calibration.geometry import candela_factor
     from luxloop.loop.rig.calibration.intrinsics import brightness
-    from luxloop.loop.rig.calibration.lamp import lamp_of, refuse_both_sides
     from luxloop.world.lamps import archive
 
     readings = [_reading(each) for each in lux or ()]

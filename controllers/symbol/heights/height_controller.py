@@ -9,8 +9,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from luxloop.controllers.symbol.heights.body_filter import BodyFilter, BodyParams
-from luxloop.controllers.symbol.heights.body_poses import AT_REST, BodyPoses, BodyPrediction
+from luxloop.controllers.symbol.heights.body_filter import AT_REST, BodyFilter, BodyParams, BodyPoses, BodyPrediction
 from luxloop.controllers.symbol.heights.forward_model import ForwardModel
 from luxloop.controllers.symbol.heights.height_map import Belief, body_over
 from luxloop.controllers.symbol.heights.registration import BLURS, COARSE, FINE, HEIGHT_M, Blur, Heights, Registration, plane_sweep

@@ -174,14 +174,18 @@ def _weights(at: Windows, texels: tuple[int, int], shape: tuple[int, int]) -> Ar
     n, m, s = at.dr.shape
     base = np.arange(n * m).repeat(s) * (shape[0] * shape[1])
     total = np.zeros(n * m * shape[0] * shape[1], np.float32)
-    row, col = (((d + REACH) * t - 0.5).ravel() for d, t in ((at.dr, texels[0]), (at.dc, texels[1])))
+    place = [((d + REACH) * t - 0.5).ravel() for d, t in ((at.dr, texels[0]), (at.dc, texels[1]))]
+    for row, col, weight, inside in neighbours(*place, shape):
+        total += np.bincount((base + row * shape[1] + col)[inside], weight[inside] / s, len(total))
+    return total.reshape(n, m, -1)
+
+
+def neighbours(row: Array, col: Array, shape: tuple[int, int]) -> Iterator[tuple[Indices, Indices, Array, Mask]]:
+    """The four neighbours of positions `[n]` in a raster, in turn: row, column, bilinear weight, and whether the neighbour is inside."""
     r0, c0 = np.floor(row).astype(int), np.floor(col).astype(int)
     for i, j in itertools.product((0, 1), repeat=2):
         r, c = r0 + i, c0 + j
-        weight = np.abs(1 - i - (row - r0)) * np.abs(1 - j - (col - c0)) / s
-        inside = (r >= 0) & (r < shape[0]) & (c >= 0) & (c < shape[1])
-        total += np.bincount((base + r * shape[1] + c)[inside], weight[inside], len(total))
-    return total.reshape(n, m, -1)
+        yield r, c, np.abs(1 - i - (row - r0)) * np.abs(1 - j - (col - c0)), (r >= 0) & (r < shape[0]) & (c >= 0) & (c < shape[1])
 
 
 def _normal(at: Windows, weights: Array) -> tuple[Array, Array]:

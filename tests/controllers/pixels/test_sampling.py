@@ -7,9 +7,8 @@ import pytest
 import scipy.sparse as sp
 import torch
 
-from luxloop.controllers.pixels.pixel_major import MrpcParams
+from luxloop.controllers.pixels.pixel_major import MrpcParams, rectangular
 from luxloop.controllers.pixels.primitives import rectangle
-from luxloop.controllers.pixels.sampling import rectangular
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised, lamp

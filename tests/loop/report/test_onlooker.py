@@ -9,8 +9,7 @@ import pytest
 import torch
 
 from luxloop import LuxloopError, Simulation, load, run
-from luxloop.loop.report.film import Film
-from luxloop.loop.report.onlooker import Onlooker, first_oncoming
+from luxloop.loop.report.onlooker import Film, Onlooker, first_oncoming
 from luxloop.loop.report.views import chase, driver, oncoming
 from luxloop.loop.simulation.result import mean_lights
 from luxloop.perception.eye import veil_per_lux

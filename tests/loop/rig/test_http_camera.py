@@ -11,9 +11,8 @@ from urllib.request import parse_http_list, parse_keqv_list
 
 import pytest
 
-from luxloop.loop.rig import http_camera
 from luxloop.loop.rig.camera import Camera
-from luxloop.loop.rig.http_camera import HttpCamera
+from luxloop.loop.rig.cameras import HttpCamera
 from luxloop.loop.rig.params import HttpCameraParams
 from tests.loop.rig.conftest import eventually
 from tests.refusal import refusal
@@ -105,7 +104,7 @@ def test_a_camera_asks_for_a_login_and_leads_elsewhere():
 
 
 def test_a_camera_that_is_silent_or_drips_is_given_up(monkeypatch):
-    monkeypatch.setattr(http_camera, "SLOW_S", 0.5)
+    monkeypatch.setattr("luxloop.loop.rig.cameras.SLOW_S", 0.5)
     with refusal(r"does not answer within 0\.5 s"):
         camera_of(answering(b"")[0])
 

@@ -7,8 +7,7 @@ import torch
 
 from luxloop import ProjectionCommand, Simulation, load
 from luxloop.controllers.pixels.ssc import WindowedSsc
-from luxloop.loop.studies.batch import drawing
-from luxloop.loop.studies.batch.copies import Conditions, Copies
+from luxloop.loop.studies.batch.copies import Conditions, Copies, _paint, _plain, _sample, rays_at
 from tests.loop.conftest import simulation_of
 from tests.refusal import refusal
 
@@ -58,10 +57,10 @@ def test_bands_of_rays_are_the_rays(simulation):
         return
     poses = torch.tensor([[17.0, 0.0, 0.0, 0.0], [15.0, -1.4, 0.09, -0.03], [25.0, 8.0, -0.1, 0.02], [17.0, 60.0, 0.0, 0.0]])
     for module, primitives in zip(copies.projector.modules, copies.projector.primitives(ProjectionCommand(poses)), strict=True):
-        rays = drawing.rays_at(module.pixel_controller, primitives, module.T_body_headlight)
+        rays = rays_at(module.pixel_controller, primitives, module.T_body_headlight)
         drawn = WindowedSsc.of(module.pixel_controller, rays.window)
-        assert drawing._plain(drawn, rays)
-        for quick, readable in zip(drawing._sample(drawn, rays), drawing._paint(drawn, rays), strict=True):
+        assert _plain(drawn, rays)
+        for quick, readable in zip(_sample(drawn, rays), _paint(drawn, rays), strict=True):
             assert torch.equal(quick, readable)
 
 
