@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from numpy.lib import format as npy
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import afford, reading, regular
+from luxloop.world.files import afford, reading, regular, whole
 
 BYTES_A_NUMBER: Final = 16  # readers turn most numbers into float64, and copy them once
 REMEDY: Final = "save fewer numbers in it"
@@ -49,8 +49,8 @@ def read_npz(path: Path) -> Arrays:
 
 
 def write_npz(path: Path, arrays: Iterable[tuple[str, np.ndarray[Any, Any]]]) -> None:
-    """Write arrays by name as a .npz; equal arrays give equal bytes. Raises OSError where it cannot be written."""
-    with zipfile.ZipFile(path, "w") as archive:
+    """Write arrays by name as a .npz, whole or not at all; equal arrays give equal bytes. Raises LuxloopError as `whole`."""
+    with whole(path) as part, zipfile.ZipFile(part, "w") as archive:
         for name, array in arrays:
             buffer = io.BytesIO()
             npy.write_array(buffer, np.asarray(array, order="C"), allow_pickle=False)

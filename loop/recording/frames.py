@@ -26,13 +26,12 @@ from luxloop.loop.simulation.frames import (
     read_image,
     sample_values,
     write_image,
-    write_light,
 )
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame
 from luxloop.loop.simulation.remote_messages import object_values
 from luxloop.loop.simulation.result import Lights, Reception
 from luxloop.perception.camera import CameraParams
-from luxloop.world.arrays import Arrays
+from luxloop.world.arrays import Arrays, write_npz
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import whole
 
@@ -92,7 +91,7 @@ class FrameRecorder:
         )
         number = next(same, self._following)
         if number == self._following:
-            write_light(light_file(self._directory, number), arrays)
+            write_npz(light_file(self._directory, number), arrays.items())
             self._following += 1
         self._lights = dict([*((known, light) for known, light in self._lights.items() if known != number)][-1:]) | {number: arrays}
         return number

@@ -144,8 +144,7 @@ class LabelRecorder:
             values["lux"] = _array(world.illuminance(time_s, *lights), np.float32)
         for kind, value in values.items():
             files[kind] = label_name(kind, number)
-            with whole(self._directory / files[kind]) as part:
-                write_npz(part, [(kind, value)])
+            write_npz(self._directory / files[kind], [(kind, value)])
         self._images.append(json.dumps({"id": number, **files, "time_s": time_s, **coco_poses(lit)}))
         if self._labels.layout == "coco":
             for each in objects:

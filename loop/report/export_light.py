@@ -14,7 +14,6 @@ from torch import Tensor
 from luxloop.loop.report.facts import borders_deg
 from luxloop.world.arrays import write_npz
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import whole
 from luxloop.world.headlight.lamp import REST, Commands, Lamp
 from luxloop.world.photometry import Distribution, sample, write, write_eulumdat
 
@@ -76,8 +75,7 @@ def write_light(simulation: "Simulation", time_s: float, file: Path, step_deg: f
         _write(own, partial(headlight.intensity, texture.double()), borders_deg(headlight), name, step_deg, keywords)
         files.append(own)
     if suffix == ".npz":
-        with whole(file) as part:
-            write_npz(part, arrays)
+        write_npz(file, arrays)
     return files or [file]
 
 

@@ -16,7 +16,7 @@ from luxloop.loop.rig.wire.ddp import Codes, codes_of, packets, send, sequence
 from luxloop.loop.rig.wire.sockets import udp_sender
 from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import whole
+from luxloop.world.files import atomic_write
 from luxloop.world.headlight.lamp import REST, Commands
 
 METHODS = ("show", "dark", "close")
@@ -109,10 +109,9 @@ class FilesLight(LightDevice):
             self._write(codes_of(np.zeros(self._shape), self._params.bits), {"number": None, "modules": []})
 
     def _write(self, codes: Codes, about: dict[str, object]) -> None:
-        with whole(self._params.folder / PICTURE) as part:
-            part.write_bytes(cv2.imencode(".png", codes, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
-        with whole(self._params.folder / ABOUT) as part:
-            part.write_text(json.dumps(about), "utf-8")
+        picture = cv2.imencode(".png", codes, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+        for name, content in ((PICTURE, picture), (ABOUT, json.dumps(about))):
+            atomic_write(self._params.folder / name, content)
 
 
 def open_light(params: Lights, grids: Grids) -> LightDevice:

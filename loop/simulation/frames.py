@@ -28,9 +28,9 @@ from luxloop.loop.simulation.remote_messages import read_objects
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.perception.camera import CameraParams
 from luxloop.perception.egomotion import VALUES, Sample
-from luxloop.world.arrays import Arrays, read_npz, read_parquet, write_npz
+from luxloop.world.arrays import Arrays, read_npz, read_parquet
 from luxloop.world.errors import LuxloopError, locate
-from luxloop.world.files import content, reading, regular, whole
+from luxloop.world.files import atomic_write, content, reading, regular
 from luxloop.world.headlight.lamp import Commands, ModuleCommand
 from luxloop.world.images import decode
 from luxloop.world.params import PLAIN
@@ -86,8 +86,7 @@ def write_image(file: Path, image: Tensor, bits: int) -> None:
             "luxloop.check_plant"
         )
     coded = cv2.imencode(".png", numbers.cpu().numpy().astype(np.uint8 if bits <= 8 else np.uint16), QUICK)[1]
-    with whole(file) as part:
-        part.write_bytes(coded.tobytes())
+    atomic_write(file, coded.tobytes())
 
 
 def read_image(file: Path, camera: CameraParams, like: Tensor) -> Tensor:
@@ -122,12 +121,6 @@ def light_arrays(exposure: Exposure) -> Arrays:
             of_it |= {"source": warp.source, "dimming": warp.dimming, "size_m": torch.tensor(warp.size_m, dtype=torch.float64)}
         arrays |= {f"{name}.{key}": value for key, value in of_it.items()}
     return {name: each.detach().cpu().numpy() for name, each in arrays.items() if each is not None}
-
-
-def write_light(file: Path, arrays: Arrays) -> None:
-    """Write the arrays of an exposure. Raises LuxloopError for a write error."""
-    with whole(file) as part:
-        write_npz(part, arrays.items())
 
 
 def read_light(

@@ -36,7 +36,7 @@ from luxloop.loop.studies.training import dataset
 from luxloop.perception.camera import CameraParams
 from luxloop.perception.detection import network
 from luxloop.perception.egomotion import Sample
-from luxloop.world.arrays import read_parquet
+from luxloop.world.arrays import read_parquet, write_npz
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, Module, ModuleCommand
 from luxloop.world.headlight.sources import TableSource
@@ -347,7 +347,7 @@ def _frames(folder: Path) -> dict[str, bytes]:
     return _written(
         folder,
         ("exposures.parquet", lambda path: pq.write_table(pa.Table.from_pylist(rows, frames.SCHEMA), path)),
-        ("light.npz", lambda path: frames.write_light(path, light)),
+        ("light.npz", lambda path: write_npz(path, light.items())),
         ("frame.png", lambda path: frames.write_image(path, torch.full((90, 160), 4095.0), 12)),
     )
 

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from luxloop.world.arrays import Arrays, read_npz, write_npz
 from luxloop.world.errors import LuxloopError, locate
-from luxloop.world.files import afford, installed_version, reading, whole
+from luxloop.world.files import afford, installed_version, reading
 from luxloop.world.frames import is_rigid
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import ALWAYS, Lamp, Module
@@ -98,8 +98,7 @@ def save(path: Path, lamp: Lamp) -> None:
         header = _header_of(lamp)
     except ValidationError as error:
         raise LuxloopError(f"{path}: cannot be written, for {sentences(error, Header, WRITER)[0]}; correct the lamp") from error
-    with whole(path) as part:
-        write_npz(part, _arrays(header, lamp))
+    write_npz(path, _arrays(header, lamp))
 
 
 def load(path: Path) -> Lamp:

@@ -21,7 +21,7 @@ from luxloop.loop.simulation.truth import LampModule
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.world.arrays import read_npz, write_npz
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import content, reading, whole
+from luxloop.world.files import content, reading
 from luxloop.world.frames import is_rigid
 
 FORMAT = "luxloop rig calibration"
@@ -83,8 +83,7 @@ def save(path: Path, calibration: Calibration) -> None:
         arrays["covariance"] = camera.covariance
     if calibration.lux is not None:
         arrays["lux"] = np.array([calibration.lux])
-    with whole(path) as part:
-        write_npz(part, arrays.items())
+    write_npz(path, arrays.items())
 
 
 def load(path: Path) -> Calibration:

@@ -14,7 +14,6 @@ from luxloop.loop.rig.arrays import Array, Image
 from luxloop.loop.rig.calibration.digitise import ModuleMeasurement
 from luxloop.loop.rig.calibration.shots import luminous
 from luxloop.world.arrays import write_npz
-from luxloop.world.files import whole
 from luxloop.world.headlight import Headlight
 
 SHOWN = 2.5  # range of the colours: standard deviations from the median
@@ -51,8 +50,7 @@ def write(stem: Path, modules: Sequence[ModuleMeasurement]) -> list[Path]:
     """Write `STEM.json`, `STEM.png` and `STEM_pixels.npz` beside a lamp file; returns the paths."""
     text, picture, pixels = stem.with_suffix(".json"), stem.with_suffix(".png"), stem.with_name(f"{stem.name}_pixels.npz")
     write_json(text, {each.name: facts(each) for each in modules})
-    with whole(pixels) as part:
-        write_npz(part, [(f"{k}_{name}", array) for k, each in enumerate(modules) for name, array in _arrays(each).items()])
+    write_npz(pixels, [(f"{k}_{name}", array) for k, each in enumerate(modules) for name, array in _arrays(each).items()])
     _draw_overview(picture, modules)
     return [text, picture, pixels]
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from luxloop.loop.rig.arrays import Array, Image, Mask
 from luxloop.loop.rig.calibration.setups import Setup
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import content, reading, whole
+from luxloop.world.files import atomic_write, content, reading, writing
 from luxloop.world.headlight.matrix import LUMINANCE
 from luxloop.world.images import decode
 
@@ -112,12 +112,9 @@ class Shots:
                 if json.loads(content(path)) != note:
                     raise LuxloopError(f"{self.folder}: holds frames of another lamp, camera or plan; name another folder")
             return
-        try:
+        with writing(self.folder, "name another folder"):
             self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise LuxloopError(f"{self.folder}: cannot be made ({error.strerror}); name another folder") from error
-        with whole(path) as part:
-            part.write_text(json.dumps(note), "utf-8")
+        atomic_write(path, json.dumps(note))
 
     def frames(self, name: str, lights: Sequence[Array], count: int, exposure_s: float) -> Image:
         """Digital numbers `[count, height, width]` of a light, read from the folder if it has them."""
@@ -126,8 +123,7 @@ class Shots:
             return np.stack([self._read(path) for path in paths])
         frames = self.setup.frames(lights, count, exposure_s, name)
         for path, frame in zip(paths, frames, strict=False):
-            with whole(path) as part:
-                part.write_bytes(cv2.imencode(".png", frame, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
+            atomic_write(path, cv2.imencode(".png", frame, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
         return frames
 
     def light(self, name: str, lights: Sequence[Array], count: int, exposures_s: Sequence[float]) -> Array:

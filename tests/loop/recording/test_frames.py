@@ -25,9 +25,9 @@ from luxloop.loop.simulation.frames import (
     read_light,
     read_samples,
     write_image,
-    write_light,
 )
 from luxloop.perception.camera import CameraParams
+from luxloop.world.arrays import write_npz
 from tests.loop.conftest import SMALL, toml
 
 DRIVES = {
@@ -91,7 +91,7 @@ def test_a_warped_drawing_is_kept_bit_for_bit(tmp_path, small_simulation):
     numbers = torch.rand(6, generator=generator)
     lights = small_simulation.symbol.projector.resting
     projection = ProjectionCommand(target, numbers[0], warp, tuple(light.u for light in lights), target + 1, numbers[1:3])
-    write_light(tmp_path / "light.npz", light_arrays(Exposure(0, 0.0, 0.1, lights, {"mine": projection})))
+    write_npz(tmp_path / "light.npz", light_arrays(Exposure(0, 0.0, 0.1, lights, {"mine": projection})).items())
     _, projections, _ = read_light(tmp_path / "light.npz", [light.u.numel() for light in lights], target.device)
     (again,) = (projections[name] for name in projections if name == "mine")
     assert again.shows(projection) and again.aim is not None and again.aim.equal(numbers[1:3])

@@ -76,7 +76,7 @@ def test_uncertainty_covers_what_is_not_fitted_and_the_residual_tells_of_it():
 
 @pytest.mark.parametrize(
     ("key", "told"),
-    [("camera.pich_deg", "no such key"), ("headlight.model", "is 'hd84', not a number")],
+    [("camera.pich_deg", "has no number there"), ("headlight.model", "is not a number, and only numbers can be varied")],
 )
 def test_what_cannot_be_fitted_is_named(key, told):
     with refusal(told):
