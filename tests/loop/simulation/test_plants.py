@@ -124,7 +124,7 @@ def test_functions_work_in_shadow_on_the_frames_of_a_recording(tmp_path):
 
 NEEDS = {
     "probes": {"probes": {"eye": {"position_m": [20, 0, 1]}}},
-    "judge_projections": {"judge_projections": True},
+    "judge_projections": toml("{ judge_projections = true, functions.flake = { kind = 'symbol', image = 'snowflake' } }"),
     "objects": {"objects": [CAR]},
     "detector.kind": {"detector": {"kind": "truth"}},
     "lighting.shadow_rays": {"lighting": {"shadow_rays": True}},
