@@ -1,6 +1,7 @@
 """Base of all parameter models; each model lies beside the code that it configures."""
 
 import re
+from itertools import pairwise
 from typing import Annotated, Any, Final
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, WithJsonSchema, field_validator, model_validator
@@ -43,6 +44,18 @@ def in_order(low: str, high: str, strict: bool = True) -> Any:
         return self
 
     return model_validator(mode="after")(check)
+
+
+def ascending(key: str) -> AfterValidator:
+    """A validator that refuses entries whose values of a key do not ascend."""
+
+    def check(entries: Any) -> Any:
+        values = [getattr(each, key) for each in entries]
+        if any(later <= earlier for earlier, later in pairwise(values)):
+            raise ValueError(f"{key} must ascend from entry to entry, here {values}")
+        return entries
+
+    return AfterValidator(check)
 
 
 class Params(BaseModel):

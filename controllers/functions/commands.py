@@ -4,8 +4,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import Any, ClassVar, Final, Literal, Protocol, Self, runtime_checkable
+from typing import Annotated, Any, ClassVar, Final, Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -14,7 +13,7 @@ from luxloop.controllers.functions.base_beams import bend_of_course
 from luxloop.controllers.pixels.primitives import Primitives, names_module
 from luxloop.controllers.situation import ScheduleParams, Situation
 from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand, Range
-from luxloop.world.params import Degrees, NotNegative, Params, Share, Slope
+from luxloop.world.params import Degrees, NotNegative, Params, Share, Slope, ascending
 
 Movement = Literal["swivel_deg", "level_deg", "intensity"]
 MOVEMENTS: Final[Mapping[Movement, str]] = {"swivel_deg": "swivelled", "level_deg": "levelled", "intensity": "dimmed"}
@@ -133,14 +132,16 @@ class LevellingParams(TurningParams):
     movements: ClassVar[tuple[Movement, ...]] = ("level_deg",)
     kind: Literal["levelling"] = "levelling"
     dynamic: bool = Field(True, description="compensate the measured pitch of the body")
-    entries: tuple[LevelAtParams, ...] = Field((), description="additional angles over ascending time; linear in between, constant outside")
+    entries: Annotated[tuple[LevelAtParams, ...], ascending("time_s")] = Field(
+        (), description="additional angles over ascending time; linear in between, constant outside"
+    )
     rate_deg_s: float = Field(20.0, gt=0, le=1000, description="rate of the levelling motors")
 
     @model_validator(mode="after")
     def _levels(self) -> Self:
         if not (self.dynamic or self.entries):
             raise ValueError("entries: with dynamic = false and no entries nothing is levelled; give entries, or leave dynamic out")
-        return _ascending(self)
+        return self
 
     def target_deg(self, now: Situation) -> float:
         fixed = over_time(self.entries, now.time_s, "level_deg") if self.entries else 0.0
@@ -159,13 +160,9 @@ class DimmingParams(CommandParams):
 
     movements: ClassVar[tuple[Movement, ...]] = ("intensity",)
     kind: Literal["dimming"] = "dimming"
-    entries: tuple[IntensityAtParams, ...] = Field(
+    entries: Annotated[tuple[IntensityAtParams, ...], ascending("time_s")] = Field(
         min_length=1, examples=[[{"share": 0.5}]], description="maximum intensity over ascending time; linear in between, constant outside"
     )
-
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
-        return _ascending(self)
 
     def active_command(self, now: Situation) -> ModuleCommand:
         return ModuleCommand(intensity=over_time(self.entries, now.time_s, "share"))
@@ -200,10 +197,3 @@ def compose(given: Iterable[FunctionCommands], modules: Iterable[Movable]) -> Co
 def over_time(entries: Sequence[Any], time_s: float, key: str) -> float:
     """Linear interpolation of a key between entries in ascending `time_s`, constant outside."""
     return float(np.interp(time_s, [each.time_s for each in entries], [getattr(each, key) for each in entries]))
-
-
-def _ascending(params: Any) -> Any:
-    times = [each.time_s for each in params.entries]
-    if any(later <= earlier for earlier, later in pairwise(times)):
-        raise ValueError(f"entries: time_s must ascend from entry to entry, here {times}")
-    return params

@@ -4,7 +4,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from luxloop.world.params import NotNegative, Params
+from luxloop.world.params import NotNegative, Params, in_order
 
 Baseline = Literal["open_loop", "full_light", "low_beam"]
 By = Literal["ratio", "difference", "recall"]
@@ -39,14 +39,13 @@ class CheckParams(Params):
         "steps in which the baseline's value is above 0 the share in which the run's is as well",
     )
 
+    _times_in_order = in_order("from_s", "until_s", strict=False)
+    _bounds_in_order = in_order("at_least", "at_most", strict=False)
+
     @model_validator(mode="after")
     def _check_bounds(self) -> Self:
         if self.at_least is None and self.at_most is None:
             raise ValueError("has no bound; give at_least, at_most or both")
-        if self.at_least is not None and self.at_most is not None and self.at_least > self.at_most:
-            raise ValueError(f"at_least = {self.at_least:g} is more than at_most = {self.at_most:g}; exchange them")
-        if self.until_s is not None and self.until_s < self.from_s:
-            raise ValueError(f"until_s = {self.until_s:g} is before from_s = {self.from_s:g}; exchange them")
         if self.by != "ratio" and self.compare is None:
             raise ValueError(f"by: {self.by} compares with another light; give compare, or leave by out")
         if self.by == "recall" and (self.take != "mean" or self.over_s is not None):

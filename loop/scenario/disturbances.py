@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from luxloop.perception.camera import OncomingParams
-from luxloop.world.params import Params, Seed, Share
+from luxloop.world.params import Params, Seed, Share, in_order
 
 FRAMES = ("on", "off")
 
@@ -18,11 +18,7 @@ class Spell(Params):
     from_step: int = Field(0, ge=0, le=1_000_000, description="first step")
     until_step: int | None = Field(None, gt=0, le=1_000_000, description="step at which the disturbance is over; left out: never")
 
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
-        if self.until_step is not None and self.until_step <= self.from_step:
-            raise ValueError(f"until_step ({self.until_step}) must be later than from_step ({self.from_step})")
-        return self
+    _steps_in_order = in_order("from_step", "until_step")
 
     def holds(self, step: int) -> bool:
         return self.from_step <= step and (self.until_step is None or step < self.until_step)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
-from itertools import chain, pairwise
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -29,7 +29,7 @@ from luxloop.perception.trackers import AnyTracker
 from luxloop.perception.tracking import TrackerParams
 from luxloop.world.errors import LuxloopError, did_you_mean, locate
 from luxloop.world.materials.library import RoadSurfaceParams, SpotParams
-from luxloop.world.params import NotNegative, Params, PlainName, Seed
+from luxloop.world.params import NotNegative, Params, PlainName, Seed, ascending
 from luxloop.world.plugin import PATTERN, Name, colon_remedy, refuse_code
 from luxloop.world.regulation import beam_rules
 from luxloop.world.roads.shapes import Flat, RoadParams
@@ -143,7 +143,7 @@ class Scenario(Params):
         description="evaluate symbols on the road as the driver sees them, in steps of judge_every: place, intensity, contrast, strokes",
     )
     off_share: float = Field(0.5, gt=0, lt=1, description="share of a control step for which symbols under control are off")
-    conditions: tuple[RoadConditionParams, ...] = Field(
+    conditions: Annotated[tuple[RoadConditionParams, ...], ascending("time_s")] = Field(
         (RoadConditionParams(),), min_length=1, description="rain and street lighting, in ascending time"
     )
     lighting: LightingParams = Field(LightingParams(), description="base beam, and limits of all lighting functions")
@@ -172,7 +172,7 @@ class Scenario(Params):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         for sentence in chain.from_iterable(
-            topic(self) for topic in (_lamps, _modules, _exposures, _projections, _detection, _probes, _order)
+            topic(self) for topic in (_lamps, _modules, _exposures, _projections, _detection, _probes, _names)
         ):
             raise ValueError(sentence)
         return self
@@ -332,11 +332,9 @@ def _probes(scenario: "Scenario") -> Iterator[str]:
             yield f"probes.{name}.frame: there is no object {probe.frame!r}; {did_you_mean(probe.frame, frames)}"
 
 
-def _order(scenario: Scenario) -> Iterator[str]:
-    """Times that do not ascend, and duplicate names."""
-    times, names = [each.time_s for each in scenario.conditions], [each.name for each in scenario.all_objects]
-    if any(later <= earlier for earlier, later in pairwise(times)):
-        yield f"conditions: time_s must ascend from entry to entry, here {times}"
+def _names(scenario: Scenario) -> Iterator[str]:
+    """Duplicate names."""
+    names = [each.name for each in scenario.all_objects]
     if doubled := [name for name in names if names.count(name) > 1]:
         yield f"objects: the name {doubled[0]!r} occurs twice, but recordings identify objects by name; rename one"
 

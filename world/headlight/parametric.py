@@ -17,7 +17,7 @@ from torch import Tensor
 from luxloop.world.files import afford
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.matrix import LUMINANCE
-from luxloop.world.params import Params
+from luxloop.world.params import Params, in_order
 from luxloop.world.spmv import Csr
 from luxloop.world.texels import TexelGrid
 
@@ -43,17 +43,14 @@ class _Pixels(Params):
     widening: float = Field(0.0, description="relative extra width of the outermost column over the middle one", ge=0, le=10)
     cut: float = Field(0.01, description="share of a pixel's peak below which its light is dropped, which limits overlap", ge=0, lt=1)
 
+    _left_of_right = in_order("right_deg", "left_deg")
+
     def _columns(self, left: float, right: float) -> tuple[Floats, Floats]:
         """Borders `[columns + 1]` from the left and intensities `[columns]` of the columns: a wider pixel is dimmer by as much."""
         s = np.linspace(-1.0, 1.0, self.columns + 1)
         share = 0.5 + 0.5 * (s + self.widening * s**3 / 3) / (1 + self.widening / 3)
         middle = 0.5 * (s[1:] + s[:-1])
         return left + share * (right - left), 1 / (1 + self.widening * middle**2)
-
-    def _left_of_right(self) -> Self:
-        if self.left_deg <= self.right_deg:
-            raise ValueError(f"left_deg = {self.left_deg:g} must exceed right_deg = {self.right_deg:g}: left is positive")
-        return self
 
 
 class GaussianPixels(_Pixels):
@@ -77,7 +74,7 @@ class GaussianPixels(_Pixels):
         for name in ("row_sigmas_deg", "peak_cd"):
             if len(getattr(self, name)) != rows:
                 raise ValueError(f"{name} has {len(getattr(self, name))} values for the {rows} rows of row_centres_deg: give one a row")
-        return self._left_of_right()
+        return self
 
     def matrix(self, grid: TexelGrid, magnification: float = 1.0) -> Matrix:
         """Headlight matrix `[n_texels, n_p]` in cd, float64, and its pixel rows and columns.
@@ -109,13 +106,13 @@ class BlurredRectangles(_Pixels):
         "angle", description="pixels of equal angle, or of equal size on the plane of the texture (a distortion-free lens)"
     )
 
+    _top_above_bottom = in_order("bottom_deg", "top_deg")
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.top_deg <= self.bottom_deg:
-            raise ValueError(f"top_deg = {self.top_deg:g} must exceed bottom_deg = {self.bottom_deg:g}: up is positive")
         if self.row_heights and len(self.row_heights) != self.rows:
             raise ValueError(f"row_heights has {len(self.row_heights)} values for {self.rows} rows: give one a row, or none")
-        return self._left_of_right()
+        return self
 
     def matrix(self, grid: TexelGrid, magnification: float = 1.0) -> Matrix:
         """Headlight matrix `[n_texels, n_p]` in cd, float64, and its pixel rows and columns.

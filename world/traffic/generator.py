@@ -5,13 +5,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import lru_cache
 from itertools import count, takewhile
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from luxloop.world.files import afford
-from luxloop.world.params import Params, Positive, Seed
+from luxloop.world.params import Params, Positive, Seed, in_order
 from luxloop.world.scene.vehicle import Course, VehicleParams
 from luxloop.world.traffic.animal import AnimalParams
 from luxloop.world.traffic.car import CarParams
@@ -56,16 +56,12 @@ class TrafficParams(Params):
         None, description="the drive that meets it, where the vehicle takes another one; left out: the vehicle's, over all steps"
     )
 
+    _distances_in_order = in_order("near_m", "far_m")
+
     @property
     def sight_m(self) -> float:
         """Distance ahead in m at which objects appear on a drive."""
         return 2 * self.far_m
-
-    @model_validator(mode="after")
-    def _near_is_nearer(self) -> Self:
-        if self.near_m >= self.far_m:
-            raise ValueError(f"near_m: {self.near_m:g} m is not nearer than far_m = {self.far_m:g} m; give a smaller one")
-        return self
 
     def objects(self) -> tuple[ObjectParams, ...]:
         """All objects, moving ones first; fewer than requested if the road is full."""

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from luxloop.world.errors import LuxloopError, did_you_mean
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.materials.library import MaterialName
-from luxloop.world.params import Degrees, Metres, Params, PlainName, Real, Seed, Share, Slope
+from luxloop.world.params import Degrees, Metres, Params, PlainName, Real, Seed, Share, Slope, ascending, in_order
 from luxloop.world.scene.body import Body, Part, PoseTrack, Spotlight
 from luxloop.world.traffic.shapes import Piece, join
 
@@ -75,21 +75,20 @@ class TrackedParams(Params):
 
     name: PlainName = Field(examples=["walker"], description="name in recordings and reports")
     category: Reported = None
-    track: tuple[KeyframeParams, ...] = Field((), description="keyframes in ascending time; with one, the object stands still")
+    track: Annotated[tuple[KeyframeParams, ...], ascending("time_s")] = Field(
+        (), description="keyframes in ascending time; with one, the object stands still"
+    )
     path: WayParams | None = Field(None, description="path at constant speed, instead of a track")
     on_road: bool = Field(False, description="measure heights from the road's surface under the object's origin instead of z = 0")
     appears_s: Real | None = Field(None, description="time at which it appears; left out: at the start")
     vanishes_s: Real | None = Field(None, description="time at which it vanishes; left out: never")
 
+    _times_in_order = in_order("appears_s", "vanishes_s")
+
     @model_validator(mode="after")
-    def _somewhere_in_order(self) -> Self:
+    def _somewhere(self) -> Self:
         if bool(self.track) == (self.path is not None):
             raise ValueError(f"give either a track or a path, here {'are both' if self.track else 'is neither'}")
-        times = [keyframe.time_s for keyframe in self.track]
-        if any(later <= earlier for earlier, later in pairwise(times)):
-            raise ValueError(f"track: time_s must ascend from keyframe to keyframe, here {times}")
-        if self.appears_s is not None and self.vanishes_s is not None and self.vanishes_s <= self.appears_s:
-            raise ValueError(f"vanishes_s ({self.vanishes_s}) must be later than appears_s ({self.appears_s})")
         return self
 
     def pose_track(self) -> PoseTrack:

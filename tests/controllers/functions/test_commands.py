@@ -104,7 +104,7 @@ def test_turns_add_up_within_the_range_and_intensities_multiply():
         ({"kind": "levelling", "dynamic": False}, "entries: with dynamic = false and no entries nothing is levelled"),
         ({"kind": "dimming", "entries": []}, "entries"),
         ({"kind": "dimming", "entries": [{"share": 1.5}]}, "share"),
-        ({"kind": "dimming", "entries": [{"share": 1.0}, {"share": 0.5}]}, "entries: time_s must ascend"),
+        ({"kind": "dimming", "entries": [{"share": 1.0}, {"share": 0.5}]}, "time_s must ascend"),
         ({"kind": "bending", "rate_deg_s": 0.0}, "rate_deg_s"),
         ({"kind": "bending", "start_s": 2.0, "stop_s": 1.0}, "stop_s: 1 is not above start_s"),
         ({"kind": "bending", "value": 1.0}, "value"),

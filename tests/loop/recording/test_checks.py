@@ -137,7 +137,7 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str, str]] = {
         SMALL,
         toml("{ metric = 'functions.symbol.iou', at_least = 0.0, from_s = 2.0, until_s = 1.0 }"),
         "checks.it: ",
-        "exchange",
+        "until_s: 1 is below from_s = 2",
     ),
     "unknown column": (SMALL, {"metric": "functions.symbol.iuo", "at_least": 0.0}, "checks.it.metric: ", f"'{IOU}'"),
     "a symbol in full light": (SMALL, {"metric": IOU, "at_least": 0.0, "compare": "full_light"}, "checks.it.metric: ", "leave compare out"),

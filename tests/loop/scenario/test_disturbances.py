@@ -237,7 +237,7 @@ def test_errors_that_leave_nothing_to_see_are_told(words):
 
 
 WRONG = {
-    "ambient=[{ factor=2.0, from_step=5, until_step=5 }]": r"until_step \(5\) must be later than from_step \(5\)",
+    "ambient=[{ factor=2.0, from_step=5, until_step=5 }]": r"until_step: 5 is not above from_step = 5",
     "wear={ dead=0.7, aged=0.4 }": "disturbances.wear: dead .0.7. and aged .0.4. are shares of all pixels",
     "aim=[{ lamp='right' }]": r"disturbances.aim\[0\].lamp: the right lamp is dark here; name it in headlight.lamps",
 }

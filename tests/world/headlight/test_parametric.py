@@ -89,8 +89,8 @@ def test_light_is_kept_on_any_texture(blur, overlap, widening, spacing, rows):
 @pytest.mark.parametrize(
     ("model", "values", "said"),
     [
-        (BlurredRectangles, {"left_deg": -7.0}, "left_deg = -7 must exceed right_deg = -6"),
-        (BlurredRectangles, {"top_deg": -3.0}, "top_deg = -3 must exceed bottom_deg = -2"),
+        (BlurredRectangles, {"left_deg": -7.0}, "left_deg: -7 is not above right_deg = -6"),
+        (BlurredRectangles, {"top_deg": -3.0}, "top_deg: -3 is not above bottom_deg = -2"),
         (BlurredRectangles, {"row_heights": (1.0, 2.0)}, "row_heights has 2 values for 4 rows"),
         (GaussianPixels, {"peak_cd": (1.0,)}, "peak_cd has 1 values for the 3 rows"),
         (GaussianPixels, {"column_sigma": 1e300}, "column_sigma"),
@@ -98,7 +98,7 @@ def test_light_is_kept_on_any_texture(blur, overlap, widening, spacing, rows):
         (GaussianPixels, {"row_centres_deg": (2.5, 0.0, -90.0)}, "row_centres_deg"),
         (GaussianPixels, {"columns": 10**10}, "columns"),
         (BlurredRectangles, {"rows": 10**10}, "rows"),
-        (GaussianPixels, {"right_deg": 9.0}, "left_deg = 8 must exceed right_deg = 9"),
+        (GaussianPixels, {"right_deg": 9.0}, "left_deg: 8 is not above right_deg = 9"),
     ],
 )
 def test_what_does_not_fit_is_said_in_a_sentence(model, values, said):

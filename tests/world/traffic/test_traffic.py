@@ -169,7 +169,7 @@ def test_traffic_comes_from_its_seed_in_sight_and_with_room():
 
 
 def test_traffic_that_is_nowhere_is_told():
-    with pytest.raises(ValidationError, match="near_m: 70 m is not nearer than far_m = 60 m"):
+    with pytest.raises(ValidationError, match="far_m: 60 is not above near_m = 70"):
         TrafficParams(near_m=70)
 
 
