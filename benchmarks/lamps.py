@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import scipy.sparse as sp
-import torch
 
 from luxloop.world.headlight import Headlight
 from luxloop.world.spmv import Csr
@@ -41,7 +40,7 @@ def disjoint(cols: int, texel_rows: int) -> Headlight:
 
 def overlapping(rows: int, cols: int, grid: TexelGrid, half_deg: tuple[float, float], reach: float = 1 + OVERLAP) -> Headlight:
     """Pixels of equal angles; each lights the texels whose centres lie within `reach` times its pitch. half_deg: vertical, horizontal."""
-    y, z = (np.degrees(np.arctan(each.numpy())) for each in grid.tangents(torch.float64, torch.device("cpu")))
+    y, z = (np.degrees(np.arctan(each.numpy())) for each in grid.tangents())
     axes = zip((z, y), (rows, cols), half_deg, strict=True)
     return _lamp(grid, *(np.abs((half - angle[:, None]) / (2 * half) * n - 0.5 - np.arange(n)) <= reach / 2 for angle, n, half in axes))
 

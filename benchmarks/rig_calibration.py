@@ -36,7 +36,7 @@ def uneven_wall(given: Namespace, size: str, folder: Path) -> Scenario:
 
 def flux(light: Headlight) -> Array:
     """Luminous flux of each pixel in lm, `[n_p]`."""
-    y, z = (each.numpy() for each in light.tangents(torch.float64, torch.device("cpu")))
+    y, z = (each.numpy() for each in light.tangents())
     area = (light.left - light.right) / light.cols * (light.top - light.bottom) / light.rows
     return np.asarray(light.matrix.to_scipy().T @ (area * (1 + y**2 + z[:, None] ** 2) ** -1.5).ravel())
 
@@ -86,7 +86,7 @@ def figures(of: Rig, found: ModuleMeasurement) -> dict[str, float]:
     nominal, mine = Nominal.of(0, "", of.light), Nominal.of(0, "", one)
     columns = (mine.y - nominal.y) / (of.light.left - of.light.right) * of.light.pixel_cols
     rows = (mine.z - nominal.z) / (of.light.top - of.light.bottom) * of.light.pixel_rows
-    y, z = of.light.tangents(torch.float64, torch.device("cpu"))
+    y, z = of.light.tangents()
     zz, yy = torch.meshgrid(z, y, indexing="ij")
     rays = torch.stack([torch.ones_like(yy), yy, zz]).flatten(1)
     a, b = (each.intensity(each.light_texture(torch.ones(each.n_pixels)), rays).numpy() for each in (one, of.light))

@@ -63,6 +63,11 @@ class CameraParams(Params):
     )
     drop_probability: float = Field(0.0, ge=0, lt=1, description="probability that a step's frames are lost")
 
+    @property
+    def focal_px(self) -> float:
+        """Focal length in px."""
+        return self.width_px / 2 / math.tan(math.radians(self.hfov_deg) / 2)
+
     @model_validator(mode="after")
     def _affordable(self) -> Self:
         samples = self.width_px * self.height_px * self.oversampling
@@ -75,12 +80,11 @@ def camera_view(params: CameraParams) -> View:
     """The camera's pinhole view while the vehicle stands at the world's origin."""
     T_world_mount = pose_from_degrees((params.x_m, params.y_m, params.z_m), params.roll_deg, params.pitch_deg, params.yaw_deg)
     T_mount_view = pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
-    focal_px = params.width_px / 2 / math.tan(math.radians(params.hfov_deg) / 2)
     return View(
         width=params.width_px,
         height=params.height_px,
-        fx=focal_px,
-        fy=focal_px,
+        fx=params.focal_px,
+        fy=params.focal_px,
         cx=params.width_px / 2,
         cy=params.height_px / 2,
         T_world_view=T_world_mount @ T_mount_view,

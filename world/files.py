@@ -159,12 +159,10 @@ def lock_file(file: Path) -> Iterator[None]:
 
 @contextmanager
 def _open_folder(folder: Path) -> Iterator[int]:
-    try:
+    with writing(folder):
         new = [each for each in (folder, *folder.parents) if not each.exists()]
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY)
-    except OSError as error:
-        raise LuxloopError(f"{folder}: cannot be written ({error.strerror}); give another folder with --out") from error
     try:
         yield descriptor
     finally:

@@ -12,6 +12,7 @@ from torch.nn.functional import grid_sample
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import R_ISO_OPENCV, View, pose
 
+CPU = torch.device("cpu")
 LARGEST_ANGLE_DEG = 80.0  # beyond it the plane x = 1 wastes its texels
 
 
@@ -96,6 +97,11 @@ class TexelGrid:
         return (self.top - z) / (self.top - self.bottom) * self.rows, (self.left - y) / (self.left - self.right) * self.cols
 
     @property
+    def borders_deg(self) -> tuple[float, ...]:
+        """Left, right, bottom and top border as angles from the beam axis."""
+        return tuple(math.degrees(math.atan(each)) for each in (self.left, self.right, self.bottom, self.top))
+
+    @property
     def projection(self) -> Tensor:
         """Matrix `[3, 3]` float64 from a point of the lamp's frame to homogeneous texture coordinates w, u, v.
 
@@ -106,7 +112,7 @@ class TexelGrid:
         )
         return torch.tensor([[1, 0, 0], [u[0], u[1], 0], [v[0], 0, v[1]]], dtype=torch.float64)
 
-    def tangents(self, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    def tangents(self, dtype: torch.dtype = torch.float64, device: torch.device = CPU) -> tuple[Tensor, Tensor]:
         """Tangents of the texel centres: y `[cols]` (left positive) and z `[rows]` (up positive); rays are [1, y, z] (T eq. 7.3.1)."""
         return _centres(self.cols, self.left, self.right, dtype, device), _centres(self.rows, self.top, self.bottom, dtype, device)
 

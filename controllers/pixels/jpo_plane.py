@@ -181,7 +181,7 @@ class _Rays:
 def _on_plane(grid: TexelGrid, T_plane_headlight: Tensor, raster: Raster) -> tuple[sp.csr_matrix, _Rays]:
     """Mean illuminance of the cells by the texels, `[cells, texels]` in lx per cd, and the texels' rays."""
     T = T_plane_headlight.double().cpu()
-    y, z = grid.tangents(torch.float64, torch.device("cpu"))
+    y, z = grid.tangents()
     z, y = (each.flatten() for each in torch.meshgrid(z, y, indexing="ij"))
     ray = T[:3, :3] @ torch.stack([torch.ones_like(y), y, z])  # [3, texels]
     height, long = T[2, 3], ray.norm(dim=0)

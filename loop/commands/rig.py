@@ -97,6 +97,7 @@ def check(file: Path, /, *, scenario: Named = "snowflake", set: Keys = None, all
     set
         Keys of the scenario to change, as key=value in TOML syntax.
     """
+    from luxloop.loop.rig.arrays import pixels_in
     from luxloop.loop.rig.lights import open_light
     from luxloop.loop.rig.rig import look
 
@@ -108,7 +109,7 @@ def check(file: Path, /, *, scenario: Named = "snowflake", set: Keys = None, all
     with connect(params, file, grids, fitting.camera, False) as rig:
         found = look(rig)
     rows = {
-        "light": f"{params.light.kind}, {sum(rows * columns for rows, columns in grids):,} pixels of {scenario}; not lit",
+        "light": f"{params.light.kind}, {pixels_in(grids):,} pixels of {scenario}; not lit",
         "camera": f"{', '.join(f'{w} x {h} px' for w, h in found['sizes'])} at {found['rate_hz']:.1f} Hz, "
         f"{found['interval_worst_ms']:.0f} ms between two pictures at most, {found['late']:.0%} of them from a queue",
         "brightest": f"{found['brightest']:.0%} of the largest digital number",
@@ -151,12 +152,13 @@ def light(
     """
     import numpy as np
 
+    from luxloop.loop.rig.arrays import pixels_in
     from luxloop.loop.rig.light import Shine
 
     params = read_rig(file, allow_code, mark=None)
     grids = pixel_grids(scenario_of(scenario, set, allow_code=allow_code))
     if not arm:
-        count = sum(rows * columns for rows, columns in grids)
+        count = pixels_in(grids)
         print(f"{file}: all {count:,} pixels would be lit for {seconds:g} s; give --arm to light them")
         return
     on = tuple(np.full(grid, level, np.float32) for grid in grids)
@@ -252,12 +254,13 @@ def blink(
     write
         Write the result as [timing] into the rig file.
     """
+    from luxloop.loop.rig.arrays import pixels_in
     from luxloop.loop.rig.blink import evaluate, record
 
     params = read_rig(file, allow_code)
     grids = pixel_grids(scenario_of(scenario, set, allow_code=allow_code))
     if not arm:
-        print(f"{file}: all {sum(rows * columns for rows, columns in grids):,} pixels would blink {blinks} times; give --arm to light them")
+        print(f"{file}: all {pixels_in(grids):,} pixels would blink {blinks} times; give --arm to light them")
         return
     with connect(params, file, grids, None, True) as rig, tables.progress("blink", blinks + 2) as advance:
         found = evaluate(record(rig, grids, blinks, level, advance), blinks)

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from luxloop.loop.rig.arrays import Array, Grids, Image
+from luxloop.loop.rig.arrays import Array, Grids, Image, pixels_in
 from luxloop.loop.rig.light import Picture
 from luxloop.loop.rig.params import LimitParams, MarkParams, TimingParams
 from luxloop.world.errors import LuxloopError
@@ -103,7 +103,7 @@ def limits_beside_mark(limits: LimitParams, mark: MarkParams, grids: Grids) -> L
         raise LuxloopError(f"mark: lies beyond the {rows} x {columns} pixels of module {mark.module}; move it, or make it smaller")
     if mark.columns < 4:
         raise LuxloopError("mark.columns: four cells need four columns at least")
-    share = 2 * (mark.columns // 4) * mark.rows / sum(rows * columns for rows, columns in grids)
+    share = 2 * (mark.columns // 4) * mark.rows / pixels_in(grids)
     if share >= limits.share:
         raise LuxloopError(f"mark: takes {share:.1%} of the lamp's power, where limits allow {limits.share:.1%}; make it smaller")
     return limits.model_copy(update={"power": limits.share - share, "power_w": None})

@@ -296,7 +296,7 @@ def _pixels_there(projector: Projector) -> str:
 
     def size_deg(module: DrawingModule) -> tuple[float, float]:
         light = module.pixel_controller.headlight
-        left, right, bottom, top = (math.degrees(math.atan(tangent)) for tangent in (light.left, light.right, light.bottom, light.top))
+        left, right, bottom, top = light.borders_deg
         return (left - right) / light.pixel_cols, (top - bottom) / light.pixel_rows
 
     symbol, module = projector.params, min(projector.modules, key=lambda each: math.prod(size_deg(each)))

@@ -59,7 +59,14 @@ COLUMNS: dict[str, tuple[pa.DataType, str, str]] = {
     ),
     "objects": (pa.string(), "", "the `TrackedObject`s that the plant told of, as JSON; empty where it told nothing"),
 }
-SCHEMA = pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in COLUMNS.items())
+
+
+def schema_of(columns: Mapping[str, tuple[pa.DataType, str, str]]) -> pa.Schema:
+    """Schema of a table, whose metadata tell unit and description."""
+    return pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in columns.items())
+
+
+SCHEMA = schema_of(COLUMNS)
 
 
 def image_file(directory: Path, number: int) -> Path:

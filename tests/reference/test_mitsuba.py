@@ -68,7 +68,7 @@ def sensor(mi: ModuleType, view: View) -> dict:
 
 def projector(mi: ModuleType, lamp: Headlight, light_texture: Tensor, T_world_headlight: Tensor) -> dict:
     """The lamp as Mitsuba's emitter; the largest texel is put into `scale`, so that the texture stays within 1."""
-    y, z = lamp.tangents(torch.float64, torch.device("cpu"))
+    y, z = lamp.tangents()
     cos = (1 + y.square() + z.square()[:, None]).rsqrt()
     texture = (light_texture.double() * cos**3 / math.pi).numpy()
     T_world_view = T_world_headlight @ pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)

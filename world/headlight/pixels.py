@@ -214,7 +214,7 @@ def affordable(texels: float, pixels: int) -> int:
 
 def describe(grid: TexelGrid) -> str:
     """A texture's borders in words."""
-    left, right, bottom, top = (math.degrees(math.atan(each)) for each in (grid.left, grid.right, grid.bottom, grid.top))
+    left, right, bottom, top = grid.borders_deg
     return f"{left:+.4g} to {right:+.4g} deg across, {bottom:+.4g} to {top:+.4g} deg up"
 
 

@@ -166,7 +166,7 @@ def _angles(directions: Tensor, mirror: float) -> tuple[Tensor, Tensor]:
 def _directions(module: Module) -> Tensor:
     """Texel centres of a module, about one a pixel, as directions `[3, N]` of the lamp frame."""
     light = module.headlight
-    y, z = light.tangents(torch.float64, torch.device("cpu"))
+    y, z = light.tangents()
     rows, cols = _every(light.rows, light.pixel_rows), _every(light.cols, light.pixel_cols)
     z, y = torch.meshgrid(z[rows // 2 :: rows], y[cols // 2 :: cols], indexing="ij")
     local = torch.stack([torch.ones_like(y), y, z]).flatten(1)

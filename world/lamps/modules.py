@@ -78,10 +78,8 @@ class TextureParams(Params):
                     f"texture.{key} = {given}: cannot show {pixels} {key} of pixels; give at least {pixels}, better "
                     f"{TEXELS_A_PIXEL * pixels}, or leave it out"
                 )
-        borders = [
-            math.degrees(math.atan(getattr(default, side))) if (given := getattr(self, f"{side}_deg")) is None else given
-            for side in ("left", "right", "bottom", "top")
-        ]
+        given = (self.left_deg, self.right_deg, self.bottom_deg, self.top_deg)
+        borders = [usual if own is None else own for own, usual in zip(given, default.borders_deg, strict=True)]
         grid = TexelGrid.from_degrees(1, 1, *borders)
         rows = math.ceil((grid.top - grid.bottom) / (default.top - default.bottom) * default.rows)
         cols = math.ceil((grid.left - grid.right) / (default.left - default.right) * default.cols)

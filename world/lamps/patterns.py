@@ -172,7 +172,7 @@ class Rectangle:
 
         Raises: LuxloopError where no texel lies inside.
         """
-        y, z = grid.tangents(torch.float64, torch.device("cpu"))
+        y, z = grid.tangents()
         inside = self.distance(torch.rad2deg(y.atan()), torch.rad2deg(z.atan())[:, None]) <= 0
         if not inside.any():
             raise LuxloopError(f"{self} covers no texel of the light texture: place it inside of the lamp's field")

@@ -105,17 +105,8 @@ def matrix(name: str, chromatic_shift: float = 0.0) -> Headlight:
 def _profile(pixels: int, texels_per_pixel: int) -> sp.csr_array:
     """Trapezoid profile of a line of pixels, `[pixels * texels_per_pixel, pixels]`; the profiles of neighbours add up to one."""
     texel = (np.arange(pixels * texels_per_pixel) + 0.5) / texels_per_pixel
-    nearest = np.floor(texel).astype(np.int32)
-    row, col, weight = [], [], []
-    for offset in (-1, 0, 1):
-        pixel = nearest + offset
-        w = np.clip((0.5 + FLANK - np.abs(texel - pixel - 0.5)) / (2 * FLANK), 0, 1)
-        keep = (w > 0) & (pixel >= 0) & (pixel < pixels)
-        row.append(np.flatnonzero(keep).astype(np.int32))
-        col.append(pixel[keep])
-        weight.append(w[keep])
-    shape = (len(texel), pixels)
-    return sp.csr_array((np.concatenate(weight), (np.concatenate(row), np.concatenate(col))), shape=shape)
+    beside = np.abs(texel[:, None] - np.arange(pixels) - 0.5)
+    return sp.csr_array(np.clip((0.5 + FLANK - beside) / (2 * FLANK), 0, 1))
 
 
 def idealised(

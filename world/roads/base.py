@@ -41,6 +41,12 @@ class RoadModel(Params):
         return MeshGrid()
 
 
+def together(x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
+    """Both as float64 of their common shape."""
+    x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+    return x, y
+
+
 def smoothstep(value: ArrayLike, start: float, end: float) -> Floats:
     """0 below start, 1 above end, with a continuous slope between."""
     t = np.clip((np.asarray(value, np.float64) - start) / (end - start), 0.0, 1.0)

@@ -13,7 +13,7 @@ from pydantic import Field
 from luxloop.world.errors import LuxloopError
 from luxloop.world.opencrg import CrgSurface, fill_gaps, modify, read_crg
 from luxloop.world.params import Length, Metres, Real
-from luxloop.world.roads.base import Floats, MeshGrid, RoadModel, ahead, smoothstep
+from luxloop.world.roads.base import Floats, MeshGrid, RoadModel, ahead, smoothstep, together
 
 # Where the tyres touch: front axle 0.8 m behind the lamps, wheelbase 2.8 m, track 1.6 m.
 WHEELS_M = np.array([[-0.8, 0.8], [-0.8, -0.8], [-3.6, 0.8], [-3.6, -0.8]])
@@ -64,7 +64,7 @@ class _Scan:
     standing: bool  # the vehicle stands on the scan
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        x, y = together(x, y)
         residual, outside_m = self._residual(x, y)
         weight = 1.0 - smoothstep(outside_m, 0.0, self.road.blend_m)
         return residual * (weight if self.standing else weight * ahead(x))

@@ -13,7 +13,7 @@ from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError
 from luxloop.world.params import Length, Metres, Params, Seed
 from luxloop.world.plugin import KnownOrOwn
-from luxloop.world.roads.base import Floats, MeshGrid, Road, RoadModel, ahead, smoothstep
+from luxloop.world.roads.base import Floats, MeshGrid, Road, RoadModel, ahead, smoothstep, together
 from luxloop.world.roads.scan import OpenCrgRoad
 
 REFERENCE_FREQUENCY = 0.1  # n0, cycles/m
@@ -31,7 +31,7 @@ def roughness(roughness_class: str, seed: int, x: ArrayLike, y: ArrayLike) -> Fl
 
     Long waves come from a tile of 256 m, short ones from a tile of 32 m, both repeated, but at an angle at which no wheel track repeats.
     """
-    along, across = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+    along, across = together(x, y)
     coordinates = np.stack([(_COS * along - _SIN * across).ravel(), (_SIN * along + _COS * across).ravel()])
     unit = np.zeros(along.size)
     for coefficients, spacing in _tiles(seed):
@@ -94,7 +94,7 @@ class Shape(RoadModel):
         raise NotImplementedError
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        return self.heights(*np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64)))
+        return self.heights(*together(x, y))
 
 
 class Flat(Shape):

@@ -10,19 +10,19 @@ from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
-from itertools import pairwise, takewhile
+from itertools import takewhile
 from typing import Annotated, Final, NamedTuple, Self
 
 import numpy as np
 import scipy  # loads its parts on first use
 import torch
-from pydantic import AfterValidator, Field
+from pydantic import Field
 from torch import Tensor
 
 from luxloop.world.caches import keeping
 from luxloop.world.files import afford
 from luxloop.world.frames import pose, rotation, transform
-from luxloop.world.params import NotNegative, Params
+from luxloop.world.params import NotNegative, Params, ascending
 from luxloop.world.roads.base import Floats, Road, smoothstep
 
 BYTES_A_MOMENT: Final = 900  # of the integrated motion, with temporaries
@@ -43,23 +43,21 @@ class CourseParams(Params):
     )
 
 
-def _in_order(course: tuple[CourseParams, ...]) -> tuple[CourseParams, ...]:
-    times = [each.time_s for each in course]
-    if any(later <= earlier for earlier, later in pairwise(times)):
-        raise ValueError(f"time_s must ascend from entry to entry, here {times}")
-    return course
+Course = Annotated[tuple[CourseParams, ...], ascending("time_s")]
 
 
-Course = Annotated[tuple[CourseParams, ...], AfterValidator(_in_order)]
-
-
-class SuspensionParams(Params):
+class SpringParams(Params):
     """The sprung mass: heave, pitch and roll are damped oscillators that follow the plane through the four wheels."""
 
     heave_hz: float = Field(1.2, gt=0, le=10, description="natural frequency of heave")
     pitch_hz: float = Field(1.4, gt=0, le=10, description="natural frequency of pitch")
     roll_hz: float = Field(1.6, gt=0, le=10, description="natural frequency of roll")
     damping: float = Field(0.35, gt=0, le=2, description="damping ratio of all three")
+
+
+class SuspensionParams(SpringParams):
+    """The sprung mass, and how it leans to accelerations."""
+
     dive_deg_per_m_s2: float = Field(0.2, ge=0, le=2, description="nose-down pitch per m/s^2 of braking; squat when accelerating")
     lean_deg_per_m_s2: float = Field(0.4, ge=0, le=2, description="outward roll per m/s^2 of lateral acceleration")
 
@@ -241,7 +239,7 @@ def drive(params: VehicleParams, road: Road, duration_s: float, before: Motion =
     pitch = pitches.answers(road_pitch, dive, None if past is None else past[2])
     road_roll, lean = (fl + rl - fr - rr) / (2 * params.track_m), math.radians(spring.lean_deg_per_m_s2) * lateral
     roll = rolls.answers(road_roll, lean, None if past is None else past[3])
-    modes = (before.modes[first, 0] + _integral(speed, dt), heave, pitch, roll)
+    modes = (before.modes[first, 0] + integral(speed, dt), heave, pitch, roll)
     pitch = pitch + math.radians(params.oscillation.pitch_deg) * np.sin(2 * np.pi * params.oscillation.rate_hz * t)
     level, slope, climb, bend = (each[len(each) - len(t) :] for each in _ground(params, road, dt, modes[0], (x, y, yaw), before, first))
     rates = (np.gradient(mode, dt) for mode in (heave, roll, pitch))
@@ -327,7 +325,7 @@ def course(params: VehicleParams, t: Floats, start: Floats | None = None) -> tup
     speed, curvature = (np.interp(t, knots[0], column) for column in knots[1:])
     dt, yaw_rate, rear_m = float(t[1] - t[0]), speed * curvature, -params.rear_x_m
     x_0, y_0, yaw_0 = (0.0, 0.0, 0.0) if start is None else start.tolist()
-    yaw = yaw_0 + _integral(yaw_rate, dt)
+    yaw = yaw_0 + integral(yaw_rate, dt)
     turned = np.diff(yaw)
     way = 0.5 * (speed[1:] + speed[:-1]) * dt * np.sinc(turned / (2 * np.pi))
     middle = yaw[:-1] + turned / 2
@@ -391,7 +389,8 @@ def _recursion(numerator: tuple[float, float], omega: float, damping: float, dt:
     return np.convolve(states @ numerator, a)[:3], a
 
 
-def _integral(values: Floats, dt: float) -> Floats:
+def integral(values: Floats, dt: float) -> Floats:
+    """Integral `[N]` of values `[N]` at evenly spaced times, 0 at the first, linear in between."""
     return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * dt)])
 
 

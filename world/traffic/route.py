@@ -9,7 +9,7 @@ import numpy as np
 
 from luxloop.world.files import afford
 from luxloop.world.roads.base import Floats
-from luxloop.world.scene.vehicle import VehicleParams, course
+from luxloop.world.scene.vehicle import VehicleParams, course, integral
 
 LANE_M: Final = 3.5  # width; the own lane's middle is the way, the oncoming lane lies to its left
 OWN_M: Final = 5.0  # that the own vehicle reaches behind its lamps
@@ -72,7 +72,7 @@ class Route:
         count = math.ceil((duration_s + LIFE_S) / STEP_S) + 2
         afford(f"traffic: a drive of {duration_s:.3g} s", BYTES_A_STEP * count, "take fewer steps, or raise rate_hz")
         x, y, yaw, speed, _ = course(vehicle, np.arange(count, dtype=np.float64) * STEP_S)
-        way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * STEP_S)])
+        way = integral(speed, STEP_S)
         back = vehicle.rear_x_m
         rear = np.stack([way + back, x + back * np.cos(yaw), y + back * np.sin(yaw), yaw])
         ends = [rear[:, k] + on * np.array([1, np.cos(yaw[k]), np.sin(yaw[k]), 0]) for k, on in ((0, -3 * sight_m), (-1, 3 * sight_m))]

@@ -18,9 +18,8 @@ from luxloop.controllers.symbol.sensing.road_shape import HERE
 from luxloop.controllers.symbol.sensing.symbol_sensor import Observation
 from luxloop.perception.egomotion import Ego
 from luxloop.world.frames import inverse
-from luxloop.world.params import Params
 from luxloop.world.roads.base import smoothstep
-from luxloop.world.scene.vehicle import LEARNT_M, LOW_PASS_M, body_pose, ground_pose
+from luxloop.world.scene.vehicle import LEARNT_M, LOW_PASS_M, SpringParams, body_pose, ground_pose
 
 PARTS: Final = 8  # intervals of a prediction, in which a mode's input is linear
 TIME_DIGITS: Final = 9  # of a duration in s, so that its rounding does not miss the caches
@@ -78,14 +77,10 @@ LEVEL: Final = 15  # state: pitch at the last observation of the road
 BODY: Final = 16  # states before the strip's
 
 
-class BodyParams(Params):
+class BodyParams(SpringParams):
     """The controller's model of its car: suspension and wheel positions."""
 
     track_m: float = Field(1.6, gt=0.5, le=3, description="distance of the wheels of an axle")
-    heave_hz: float = Field(1.2, gt=0, le=10, description="natural frequency of heave")
-    pitch_hz: float = Field(1.4, gt=0, le=10, description="natural frequency of pitch")
-    roll_hz: float = Field(1.6, gt=0, le=10, description="natural frequency of roll")
-    damping: float = Field(0.35, gt=0, le=2, description="damping ratio of all three")
 
 
 @dataclass(frozen=True)

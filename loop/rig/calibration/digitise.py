@@ -48,7 +48,7 @@ def headlight(name: str, grid: TexelGrid, measured: PixelMeasurements, lamp_of: 
     """Headlight matrix of a digitised module in cd. lamp_of: from tangents (y, z) to lamp coordinates (row, column)."""
     rows, cols = measured.intensity.shape
     block_of = [np.searchsorted(borders(n), np.arange(n), "right") - 1 for n in (rows, cols)]
-    y, z = (each.numpy() for each in grid.tangents(torch.float64, torch.device("cpu")))
+    y, z = (each.numpy() for each in grid.tangents())
     lit = np.nan_to_num(measured.intensity).clip(min=0)
     least = LEAST * measured.shapes.max((2, 3))
     reach = int(np.ceil(REACH))
@@ -142,7 +142,7 @@ class Nominal:
     @classmethod
     def of(cls, number: int, name: str, light: Headlight) -> "Nominal":
         matrix = light.matrix.to_scipy().astype(float)
-        y, z = (each.numpy() for each in light.tangents(torch.float64, torch.device("cpu")))
+        y, z = (each.numpy() for each in light.tangents())
         total = np.maximum(np.asarray(matrix.sum(0)).ravel(), 1e-30)
         across, up = np.tile(y, light.rows), np.repeat(z, light.cols)
         shape = light.pixel_rows, light.pixel_cols

@@ -23,7 +23,17 @@ from luxloop.loop.rig.calibration.pictures import draw_twin
 from luxloop.loop.rig.matching import mark_surroundings
 from luxloop.loop.rig.params import MarkParams
 from luxloop.loop.scenario.model import Scenario
-from luxloop.loop.simulation.frames import image_file, inside, light_file, read_image, read_light, recorded_rows, twin_file, write_image
+from luxloop.loop.simulation.frames import (
+    image_file,
+    inside,
+    light_file,
+    read_image,
+    read_light,
+    recorded_rows,
+    schema_of,
+    twin_file,
+    write_image,
+)
 from luxloop.loop.simulation.lamps import lamp_modules, mount
 from luxloop.loop.simulation.part_cache import PartCache
 from luxloop.loop.simulation.protocol import Exposure
@@ -177,7 +187,7 @@ COLUMNS: dict[str, tuple[pa.DataType, str, str]] = {
     "mean_rig": (pa.float64(), "DN", "mean digital number of the rig's frame"),
     "mean_simulated": (pa.float64(), "DN", "mean digital number of the simulated frame"),
 }
-SCHEMA = pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in COLUMNS.items())
+SCHEMA = schema_of(COLUMNS)
 FIGURES = tuple(COLUMNS)[2:]
 
 

@@ -107,7 +107,7 @@ class Digitiser:
         if calibration.lux is None:
             raise LuxloopError("has no scale; run `luxloop rig calibrate` again with a reading of a luxmeter, --lux LUX@U,V")
         geometry, camera = calibration.geometry(module), calibration.camera
-        y, z = (each.numpy() for each in grid.tangents(torch.float64, torch.device("cpu")))
+        y, z = (each.numpy() for each in grid.tangents())
         places, candela = _falling(geometry, y, z)
         u, v = camera.project(places).T.reshape(2, grid.rows, grid.cols) - 0.5  # OpenCV's maps count from pixels' centres
         ahead = (places[:, 2] > 0).reshape(grid.rows, grid.cols) & np.isfinite(u) & np.isfinite(v)

@@ -15,7 +15,7 @@ from luxloop.loop.rig.arrays import Array, Image
 from luxloop.loop.rig.calibration.digitise import lux, sensor
 from luxloop.loop.rig.calibration.intrinsics import BoardParams, picture
 from luxloop.loop.rig.simulated.faults import BoardFaultParams
-from luxloop.loop.rig.simulated.lens import Lens, distort, focal_px
+from luxloop.loop.rig.simulated.lens import Lens, distort
 from luxloop.loop.rig.simulated.scene import RigScene
 from luxloop.perception.camera import CameraParams, luminance_of
 from luxloop.world.caches import keeping
@@ -84,7 +84,7 @@ class BoardView:
         drawn = picture(self.board, DPI)
         m_per_px = self.board.square_mm / 1000 * self.board.columns / drawn.shape[1]
         on_board = np.array([[m_per_px, 0, m_per_px / 2], [0, m_per_px, m_per_px / 2], [0, 0, 1]])  # from pixel centres to m
-        camera, focal = self.lens.camera, FINER * focal_px(self.lens.camera)
+        camera, focal = self.lens.camera, FINER * self.lens.camera.focal_px
         size = FINER * camera.width_px, FINER * camera.height_px
         pinhole = np.array([[focal, 0, size[0] / 2 - 0.5], [0, focal, size[1] / 2 - 0.5], [0, 0, 1]])
         homography = pinhole @ T_view_board[:3][:, [0, 1, 3]] @ on_board
@@ -102,7 +102,7 @@ def board_pose(board: BoardParams, camera: CameraParams, pose: int) -> Array:
     roll = math.radians(ROLL_DEG) * math.sin(1.7 * pose)
     tilted = Rotation.from_rotvec([tilt * math.cos(way), tilt * math.sin(way), 0.0])
     turn = (tilted * Rotation.from_rotvec([0.0, 0.0, roll])).as_matrix()
-    focal = focal_px(camera)
+    focal = camera.focal_px
     depth = focal * max(height / camera.height_px, width / camera.width_px) / FILLED[pose % len(FILLED)]
     aside = np.array([ASIDE[pose % 3] * camera.width_px, ASIDE[pose // 3 % 3] * camera.height_px, focal]) * depth / focal
     return _pose(turn, aside - turn @ np.array([width / 2, height / 2, 0.0]))
@@ -134,7 +134,7 @@ def readings(rig_scene: RigScene) -> list[tuple[float, float, float]]:
 
 def _image_place(rig_scene: RigScene, row: int, column: int) -> tuple[float, float]:
     """Image position (u, v) px through the lens of a pixel of the pinhole picture."""
-    lens, focal = rig_scene.lens, focal_px(rig_scene.lens.camera)
+    lens, focal = rig_scene.lens, rig_scene.lens.camera.focal_px
     straight = np.array([[(column + 0.5) / rig_scene.columns - lens.camera.width_px / 2, row + 0.5 - lens.camera.height_px / 2]]) / focal
     u, v = (distort(lens.params, straight) * focal)[0] + lens.matrix[:2, 2]
     return float(u), float(v)

@@ -14,7 +14,7 @@ import numpy as np
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from luxloop.loop.rig.arrays import Grids
+from luxloop.loop.rig.arrays import Grids, pixels_in
 from luxloop.loop.rig.screen import DARK, HEAD, parse_message, split_picture
 from luxloop.loop.rig.simulated.faults import LightInputParams
 from luxloop.loop.rig.wire.ddp import LARGEST_PACKET, Assembler, LightFrame
@@ -171,7 +171,7 @@ class ScreenInput:
         """grids: rows and columns of each module. address: of the page."""
         self._timeline, self._grids, self._address = timeline, grids, address
         self.where = "http://{}:{}/ (the page of a loop's light `screen`)".format(*address)
-        self._dark = LightFrame(np.zeros(sum(rows * columns for rows, columns in grids), np.uint8), ())
+        self._dark = LightFrame(np.zeros(pixels_in(grids), np.uint8), ())
         self._shown: LightFrame | None = None  # None while dark
         self._heard_s, self._counts, self._open = 0.0, {"frames": 0, "incomplete": 0, "refused": 0}, True
         self._thread = threading.Thread(target=self._run, name="light", daemon=True)

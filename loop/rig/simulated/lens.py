@@ -39,7 +39,7 @@ class Lens:
     @classmethod
     def of(cls, params: LensParams, camera: CameraParams) -> "Lens":
         """Lens of a camera. Raises LuxloopError if the coefficients fold the picture, or the field is too wide."""
-        width, height, focal = camera.width_px, camera.height_px, focal_px(camera)
+        width, height, focal = camera.width_px, camera.height_px, camera.focal_px
         centre = np.array([width / 2 + params.centre_px[0], height / 2 + params.centre_px[1]])
         u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
         radius = np.hypot(u - centre[0], v - centre[1])
@@ -82,14 +82,9 @@ class Lens:
     @property
     def matrix(self) -> Array:
         """The camera matrix `[3, 3]` in px; pixel centres are at integer + 0.5."""
-        focal = focal_px(self.camera)
+        focal = self.camera.focal_px
         u, v = self.width / 2 + self.params.centre_px[0], self.height / 2 + self.params.centre_px[1]
         return np.array([[focal, 0, u], [0, focal, v], [0, 0, 1]])
-
-
-def focal_px(camera: CameraParams) -> float:
-    """Focal length in px."""
-    return camera.width_px / 2 / math.tan(math.radians(camera.hfov_deg) / 2)
 
 
 def undistort(params: LensParams, seen: Array, focal: float) -> Array:

@@ -194,7 +194,7 @@ def _nearest(rows: Sequence[Row]) -> list[Row]:
 
 def _degrees(name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Angles in deg of the light texture's columns and rows."""
-    y, z = headlight(name).tangents(torch.float64, torch.device("cpu"))
+    y, z = headlight(name).tangents()
     return torch.rad2deg(y.atan()).numpy(), torch.rad2deg(z.atan()).numpy()
 
 

@@ -29,7 +29,7 @@ BEAM = spot(slice(6, 14), slice(14, 26))
 def centre(u: torch.Tensor) -> tuple[float, float]:
     """Angles in rad of the middle of a utilisation's light, left and up positive."""
     light = LAMP.light_texture(u).double()
-    y, z = LAMP.tangents(torch.float64, torch.device("cpu"))
+    y, z = LAMP.tangents()
     return math.atan((light.sum(0) @ y / light.sum()).item()), math.atan((light.sum(1) @ z / light.sum()).item())
 
 

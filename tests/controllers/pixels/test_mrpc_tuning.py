@@ -98,9 +98,7 @@ def test_a_part_gives_the_light_of_the_whole(light, wanted):
     assert_close(texture, light.light_texture(torch.from_numpy(whole(light, some, u)).float()))
     assert_close(some.wanted, wanted[some.window])
     assert some.wanted.sum() == wanted.sum()
-    for axis, of_part, of_whole in zip(
-        (1, 0), *(grid.tangents(torch.float64, torch.device("cpu")) for grid in (some.headlight, light)), strict=True
-    ):
+    for axis, of_part, of_whole in zip((1, 0), *(grid.tangents() for grid in (some.headlight, light)), strict=True):
         assert_close(of_part, of_whole[some.window[axis]])
 
 

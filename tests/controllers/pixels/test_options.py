@@ -26,7 +26,7 @@ BEST_A_X = {"hd84": 0.87, "ssl-hd-lores": 0.97}
 
 def rectangle(light: Headlight, h_deg: float, v_deg: float, width_deg: float, height_deg: float, turn_deg: float) -> torch.Tensor:
     """A wanted light texture: constant in a turned rectangle, else dark."""
-    y, z = light.tangents(torch.float64, torch.device("cpu"))
+    y, z = light.tangents()
     h, v, turn = torch.rad2deg(y.atan()) - h_deg, torch.rad2deg(z.atan())[:, None] - v_deg, np.radians(turn_deg)
     along, across = h * np.cos(turn) + v * np.sin(turn), v * np.cos(turn) - h * np.sin(turn)
     return CD * ((along.abs() <= width_deg / 2) & (across.abs() <= height_deg / 2)).float()

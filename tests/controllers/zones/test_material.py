@@ -66,7 +66,7 @@ def test_rays_ask_for_the_light_of_what_the_camera_sees_along_them():
     T = pose_from_degrees(VIEW.origin.tolist(), pitch_deg=2.0)
     for part, wanted in ((lying, {0: 3.0, 1: 12.0}), (standing, {2: math.pi * 0.5 / 0.05})):
         found: Setpoints = trace(part, grid, T)
-        y, z = grid.tangents(torch.float64, torch.device("cpu"))
+        y, z = grid.tangents()
         rays = torch.einsum("ij,jrc->irc", T[:3, :3], torch.stack(torch.broadcast_tensors(torch.ones(1, 1).double(), y, z[:, None])))
         n, q = part.normal[0], part.origin[0] - VIEW.origin
         along = (q @ n) / torch.einsum("i,irc->rc", n, rays)

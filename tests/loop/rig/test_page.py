@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from luxloop.loop.rig.calibration.digitise import Nominal
 from luxloop.loop.rig.params import load_rig
@@ -108,6 +107,6 @@ def _errors(keys: list[str]) -> tuple[float, float]:
 
 def _flux(light: Headlight) -> np.ndarray:
     """Luminous flux of each pixel in lm, `[n_p]`."""
-    y, z = (each.numpy() for each in light.tangents(torch.float64, torch.device("cpu")))
+    y, z = (each.numpy() for each in light.tangents())
     area = (light.left - light.right) / light.cols * (light.top - light.bottom) / light.rows
     return np.asarray(light.matrix.to_scipy().T @ (area * (1 + y**2 + z[:, None] ** 2) ** -1.5).ravel())

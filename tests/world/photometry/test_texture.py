@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-import torch
 
 from luxloop.world.photometry import Distribution, light_texture, rmse
 from luxloop.world.photometry.distribution import Kind
@@ -24,7 +23,7 @@ def grid(rows: int, cols: int, half_deg: float = 20, half_v_deg: float = 10) -> 
 
 
 def centres(g: TexelGrid) -> np.ndarray:
-    y, z = (each.numpy() for each in g.tangents(torch.float64, torch.device("cpu")))
+    y, z = (each.numpy() for each in g.tangents())
     y, z = np.broadcast_arrays(y, z[:, None])
     return np.stack([np.ones_like(y), y, z])
 

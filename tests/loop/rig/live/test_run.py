@@ -70,7 +70,7 @@ def test_the_night_is_as_bright_as_the_picture(small_rig, lux, tmp_path):
     assert code == 0, error
     simulation = prepare(load("small.toml", [*GIVEN[3:], *keys]))
     plant, light = simulation.plant, simulation.modules[0].headlight
-    y, z = light.tangents(torch.float64, torch.device("cpu"))
+    y, z = light.tangents()
     cd = 200 / 255 * 100 * 5.95**2 * (1 + y**2 + z[:, None] ** 2) ** 1.5  # of a screen square to the lamp's axis
     u = torch.ones(light.n_pixels)
     plant.measured.keep(u, cd)

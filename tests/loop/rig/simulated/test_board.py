@@ -7,7 +7,6 @@ import torch
 from luxloop.loop.rig.calibration.intrinsics import corners
 from luxloop.loop.rig.simulated.board import LAID_S, BoardView, board_pose, readings
 from luxloop.loop.rig.simulated.faults import BoardFaultParams
-from luxloop.loop.rig.simulated.lens import focal_px
 from luxloop.loop.rig.simulated.scene import RigScene
 from tests.loop.rig.simulated.conftest import faults_of, scenario_of
 
@@ -29,7 +28,7 @@ def test_its_corners_are_where_it_is_held(lit):
         found += 1
         points = np.concatenate([seen.board, np.zeros((len(seen.board), 1)), np.ones((len(seen.board), 1))], 1)
         x, y, z = (board_pose(shown.board, camera, pose) @ points.T)[:3]
-        expected = focal_px(camera) * np.stack([x / z, y / z], 1) + [camera.width_px / 2, camera.height_px / 2]
+        expected = camera.focal_px * np.stack([x / z, y / z], 1) + [camera.width_px / 2, camera.height_px / 2]
         assert np.median(np.hypot(*(seen.pixels - expected).T)) < 0.15  # some stray, in squares of a few pixels
     assert found >= 4
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from luxloop.loop.rig.simulated.faults import LensParams
-from luxloop.loop.rig.simulated.lens import Lens, distort, focal_px, undistort
+from luxloop.loop.rig.simulated.lens import Lens, distort, undistort
 from luxloop.perception.camera import CameraParams
 from tests.refusal import refusal
 
@@ -27,8 +27,8 @@ def test_models_are_those_of_opencv():
 def test_a_pixel_looks_where_opencv_says(params):
     """Of a picture whose brightness is a place, which linear interpolation reproduces."""
     lens = Lens.of(params, CAMERA)
-    focal = focal_px(CAMERA)
-    assert focal_px(lens.camera) == pytest.approx(focal, rel=1e-12)
+    focal = CAMERA.focal_px
+    assert lens.camera.focal_px == pytest.approx(focal, rel=1e-12)
     wide = [(np.arange(n) + 0.5 - n / 2) / focal for n in (lens.camera.width_px, lens.camera.height_px)]
     x, y = np.meshgrid(*wide)
     seen = np.stack([lens.image(each.astype(np.float32)) for each in (x, y)], -1).reshape(-1, 2).astype(float)
