@@ -174,8 +174,8 @@ def _weights(at: Windows, texels: tuple[int, int], shape: tuple[int, int]) -> Ar
     n, m, s = at.dr.shape
     base = np.arange(n * m).repeat(s) * (shape[0] * shape[1])
     total = np.zeros(n * m * shape[0] * shape[1], np.float32)
-    place = [((d + REACH) * t - 0.5).ravel() for d, t in ((at.dr, texels[0]), (at.dc, texels[1]))]
-    for row, col, weight, inside in neighbours(*place, shape):
+    down, right = (((d + REACH) * t - 0.5).ravel() for d, t in zip((at.dr, at.dc), texels, strict=True))
+    for row, col, weight, inside in neighbours(down, right, shape):
         total += np.bincount((base + row * shape[1] + col)[inside], weight[inside] / s, len(total))
     return total.reshape(n, m, -1)
 
