@@ -18,7 +18,7 @@ from torch import Tensor
 
 from luxloop.perception.noise import FrameNoise
 from luxloop.world.files import afford
-from luxloop.world.frames import R_ISO_OPENCV, View, pose, pose_from_degrees
+from luxloop.world.frames import T_ISO_OPENCV, View, pose_from_degrees
 from luxloop.world.params import Degrees, Distance, Metres, Params, Positive, Slope
 
 BYTES_A_SAMPLE: Final = 350  # of a frame with G-buffer and shading, measured
@@ -79,7 +79,6 @@ class CameraParams(Params):
 def camera_view(params: CameraParams) -> View:
     """The camera's pinhole view while the vehicle stands at the world's origin."""
     T_world_mount = pose_from_degrees((params.x_m, params.y_m, params.z_m), params.roll_deg, params.pitch_deg, params.yaw_deg)
-    T_mount_view = pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
     return View(
         width=params.width_px,
         height=params.height_px,
@@ -87,7 +86,7 @@ def camera_view(params: CameraParams) -> View:
         fy=params.focal_px,
         cx=params.width_px / 2,
         cy=params.height_px / 2,
-        T_world_view=T_world_mount @ T_mount_view,
+        T_world_view=T_world_mount @ T_ISO_OPENCV,
     )
 
 

@@ -1,6 +1,7 @@
 """Frames of reference, ISO 8855 for world, vehicle and headlight (x forward, y left, z up) and OpenCV for cameras, and pinhole views."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 # Columns are the OpenCV camera axes (x right, y down, z forward) in an ISO 8855 frame.
-R_ISO_OPENCV = torch.tensor([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]], dtype=torch.float64)
+T_ISO_OPENCV = torch.tensor([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]], dtype=torch.float64)
 
 
 def rotation(roll: Tensor, pitch: Tensor, yaw: Tensor | None = None) -> Tensor:
@@ -61,7 +62,7 @@ def inverse(T: Tensor) -> Tensor:
     return pose(-(R_t @ T[..., :3, 3:])[..., 0], R_t)
 
 
-def is_rigid(T: NDArray[np.float64], tolerance: float = 1e-6) -> bool:
+def is_rigid(T: NDArray[np.floating[Any]], tolerance: float = 1e-6) -> bool:
     """Whether `[4, 4]` is a pose: finite, a rotation within the tolerance, and a position."""
     R = T[:3, :3].clip(-2, 2)  # so that products do not overflow
     turns = np.abs(R @ R.T - np.eye(3)).max() <= tolerance and np.linalg.det(R) > 0

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.frames import R_ISO_OPENCV, View, pose
+from luxloop.world.frames import T_ISO_OPENCV, View
 
 CPU = torch.device("cpu")
 LARGEST_ANGLE_DEG = 80.0  # beyond it the plane x = 1 wastes its texels
@@ -119,8 +119,7 @@ class TexelGrid:
     def view(self, T_world_headlight: Tensor, width: int, height: int) -> View:
         """The light texture as a pinhole view of width x height px, for a shadow map."""
         fx, fy = width / (self.left - self.right), height / (self.top - self.bottom)
-        T_headlight_view = pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
-        return View(width, height, fx, fy, fx * self.left, fy * self.top, T_world_headlight.double().cpu() @ T_headlight_view)
+        return View(width, height, fx, fy, fx * self.left, fy * self.top, T_world_headlight.double().cpu() @ T_ISO_OPENCV)
 
 
 @lru_cache(64)  # used in every step

@@ -37,7 +37,7 @@ def modules_at(simulation: "Simulation", time_s: float) -> Iterator[tuple[str, T
     commands: Commands = simulation.lights_at(time_s)[1] if simulation.planner.commanding else ()
     modules = simulation.world.modules
     for module, command in zip(modules, commands or (REST,) * len(modules), strict=True):
-        yield module.name, command.turn(module.T_body_headlight).double().cpu()
+        yield module.name, module.turned(command)
 
 
 def write_light(simulation: "Simulation", time_s: float, file: Path, step_deg: float) -> list[Path]:
@@ -54,7 +54,7 @@ def write_light(simulation: "Simulation", time_s: float, file: Path, step_deg: f
     us, commands = simulation.lights_at(time_s)
     arrays, files = list[tuple[str, np.ndarray]](), list[Path]()
     for number, (module, u, command) in enumerate(zip(simulation.world.modules, us, commands or (REST,) * len(us), strict=True)):
-        headlight, T = module.headlight, command.turn(module.T_body_headlight).double().cpu().numpy()
+        headlight, T = module.headlight, module.turned(command).numpy()
         texture = (command.intensity * headlight.light_texture(u)).detach().cpu()
         if suffix == ".npz":
             values = {

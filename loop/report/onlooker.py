@@ -188,7 +188,7 @@ class Onlooker:
         shining += [(torch.tensor(each.position_m).double()[:, None], each.intensity_cd, WHITE) for each in lit.scene.street_lamps]
         if self.rides is not None:
             for module, u, command in zip(lit.modules, lights, commands or (REST,) * len(lights), strict=True):
-                T = lit.vehicle.T_world_body @ command.turn(module.T_body_headlight).double().cpu()
+                T = lit.vehicle.T_world_body @ module.turned(command)
                 cd = module.headlight.intensity(module.textures.light_texture(u).cpu(), T[:3, :3].T @ (eye - T[:3, 3:]))
                 shining.append((T[:3, 3:], command.intensity * float(cd), WHITE))
         total = torch.zeros(3, self.view.height, self.view.width)

@@ -13,7 +13,7 @@ from torch import Tensor
 from luxloop.loop.scenario.model import HeadlightParams, Scenario, validate
 from luxloop.loop.simulation.lamps import T_world_lamp, T_world_reference
 from luxloop.loop.simulation.simulated import build_scene
-from luxloop.world.frames import R_ISO_OPENCV, View, pose, pose_from_degrees
+from luxloop.world.frames import T_ISO_OPENCV, View, pose, pose_from_degrees
 from luxloop.world.headlight.lamp import Commands, Lamp, direction
 from luxloop.world.headlight.matrix import LUMINANCE
 from luxloop.world.light.emitters import Source, ambient_luminance, sources, surface_light
@@ -208,5 +208,5 @@ def _pinhole(position_m: tuple[float, float, float], pitch_deg: float, yaw_deg: 
     """A view from a place in m, nose down by the pitch, 16 : 9."""
     height = round(width * 9 / 16)
     focal = width / 2 / math.tan(math.radians(hfov_deg) / 2)
-    T = pose_from_degrees(position_m, pitch_deg=pitch_deg, yaw_deg=yaw_deg) @ pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
+    T = pose_from_degrees(position_m, pitch_deg=pitch_deg, yaw_deg=yaw_deg) @ T_ISO_OPENCV
     return View(width, height, focal, focal, width / 2, height / 2, T)

@@ -305,7 +305,7 @@ def _arriving(
     for module, light, command in zip(lit.modules, lights, commands or (REST,) * len(lit.modules), strict=True):
         if not bool(light.u.any()):
             continue
-        T_world_headlight = lit.vehicle.T_world_body @ command.turn(module.T_body_headlight).double().cpu()
+        T_world_headlight = lit.vehicle.T_world_body @ module.turned(command)
         away = T_world_headlight[:3, 3:] - place
         per_cd = float(lux_per_cd(away, normal))
         near = TOLERANCE_M if probe.frame in ("world", "car") else INSIDE_M

@@ -143,7 +143,7 @@ def _from_lamps(seen: LitScene, lights: Sequence[Tensor], commands: Commands, pl
     here = transform(T_body_world, places)
     total, h_deg, v_deg = dict[str, Tensor](), -math.inf, -math.inf
     for module, u, command in zip(seen.modules, lights, commands or (REST,) * len(seen.modules), strict=True):
-        T = command.turn(module.T_body_headlight).double().cpu()
+        T = module.turned(command)
         ray = here - T[:3, 3:]
         side = module.name.partition(" ")[0]
         texture = module.textures.light_texture(u).double().cpu()

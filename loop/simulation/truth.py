@@ -15,6 +15,7 @@ from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import ModuleCommand
 from luxloop.world.light.illumination import LastTextures, TextureSource
 
 
@@ -29,6 +30,10 @@ class LampModule:
     headlight: Headlight
     T_body_headlight: Tensor
     measured: TextureSource | None = None
+
+    def turned(self, command: ModuleCommand) -> Tensor:
+        """Pose `[4, 4]` float64 on the CPU of the module that a command turns, on the body."""
+        return command.turn(self.T_body_headlight).double().cpu()
 
     @cached_property
     def textures(self) -> TextureSource:

@@ -8,10 +8,10 @@ import torch
 from hypothesis import given
 
 from luxloop.perception.eye import SATURATION_CD_M2, develop, exposure_of, smooth, veil
-from luxloop.world.frames import R_ISO_OPENCV, View, pose
+from luxloop.world.frames import T_ISO_OPENCV, View
 from luxloop.world.headlight.matrix import LUMINANCE
 
-AHEAD = View(400, 201, 1000.0, 1000.0, 200.5, 100.5, pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV))
+AHEAD = View(400, 201, 1000.0, 1000.0, 200.5, 100.5, T_ISO_OPENCV)
 WEIGHT = torch.tensor(LUMINANCE)[:, None, None]
 
 

@@ -15,7 +15,7 @@ import torch
 from scipy.ndimage import maximum_filter, minimum_filter
 from torch import Tensor
 
-from luxloop.world.frames import R_ISO_OPENCV, View, pose, pose_from_degrees
+from luxloop.world.frames import T_ISO_OPENCV, View, pose_from_degrees
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.presets import idealised
 from luxloop.world.light.illumination import illuminance, lit_surface
@@ -71,7 +71,7 @@ def projector(mi: ModuleType, lamp: Headlight, light_texture: Tensor, T_world_he
     y, z = lamp.tangents()
     cos = (1 + y.square() + z.square()[:, None]).rsqrt()
     texture = (light_texture.double() * cos**3 / math.pi).numpy()
-    T_world_view = T_world_headlight @ pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
+    T_world_view = T_world_headlight @ T_ISO_OPENCV
     return {
         "type": "projector",
         "fov": math.degrees(2 * math.atan(lamp.left)),
@@ -119,7 +119,7 @@ def test_the_projector_is_a_lamp(mi, angle_deg):
     look = mi.ScalarTransform4f().look_at([float(v) for v in 5 * direction], [0, 0, 0], [0, 0, 1])
     white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
     wall = {"type": "rectangle", "to_world": look, "bsdf": white}
-    view = View(8, 8, 400, 400, 4, 4, pose_from_degrees((0, 0, 0), yaw_deg=angle_deg) @ pose(torch.zeros(3).double(), R_ISO_OPENCV))
+    view = View(8, 8, 400, 400, 4, 4, pose_from_degrees((0, 0, 0), yaw_deg=angle_deg) @ T_ISO_OPENCV)
     emitter = projector(mi, lamp, torch.full((512, 512), 1000.0), torch.eye(4, dtype=torch.float64))
     seen = their_illuminance(mi, {"wall": wall}, view, [emitter])
     # 4 px from the middle at f = 400 px: within 0.8 deg of it cos varies by 1e-4, as cos^3 between texels

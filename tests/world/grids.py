@@ -3,10 +3,9 @@
 from collections.abc import Callable
 
 import numpy as np
-import torch
 import trimesh
 
-from luxloop.world.frames import R_ISO_OPENCV, View, pose, pose_from_degrees
+from luxloop.world.frames import T_ISO_OPENCV, View, pose_from_degrees
 from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
 from luxloop.world.rendering.raycast import RayCaster
 from luxloop.world.scene.body import Body
@@ -33,7 +32,7 @@ def bumpy() -> trimesh.Trimesh:
 def camera(width: int = 320, height: int = 180, pitch_deg: float = 3.0) -> View:
     """The default camera, smaller: 30 deg wide, 1.35 m high, 1.6 m behind the lamps."""
     f = width / 2 / np.tan(np.radians(15))
-    eye = pose_from_degrees((-1.6, 0, 1.35), pitch_deg=pitch_deg) @ pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
+    eye = pose_from_degrees((-1.6, 0, 1.35), pitch_deg=pitch_deg) @ T_ISO_OPENCV
     return View(width, height, f, f, width / 2, height / 2, eye)
 
 
@@ -41,7 +40,7 @@ def lamp(width: int = 1024, height: int = 512) -> View:
     """A shadow view of the left lamp: +-10 deg wide, +1.5 to -3.5 deg high, so neither centred nor square in its texels."""
     left, top, bottom = np.tan(np.radians([10, 1.5, -3.5]))
     fx, fy = width / (2 * left), height / (top - bottom)
-    eye = pose_from_degrees((0, 0.6, 0.75)) @ pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
+    eye = pose_from_degrees((0, 0.6, 0.75)) @ T_ISO_OPENCV
     return View(width, height, fx, fy, fx * left, fy * top, eye)
 
 

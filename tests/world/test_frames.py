@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from luxloop.world.frames import R_ISO_OPENCV, View, inverse, pose, pose_from_degrees, rotation, transform
+from luxloop.world.frames import T_ISO_OPENCV, View, inverse, pose, pose_from_degrees, rotation, transform
 
 angle = st.floats(-math.pi, math.pi)
 metre = st.floats(-1000, 1000)
@@ -30,12 +30,9 @@ def test_inverse_undoes_a_pose(position, angles):
     torch.testing.assert_close(transform(inverse(T), transform(T, points)), points, rtol=0, atol=1e-11)
 
 
-T_ISO_VIEW = pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
-
-
 def view(T_world_mount: torch.Tensor | None = None) -> View:
     T = pose_from_degrees((0.0, 0.0, 0.0)) if T_world_mount is None else T_world_mount
-    return View(8, 6, fx=10.0, fy=12.0, cx=4.0, cy=2.5, T_world_view=T @ T_ISO_VIEW)
+    return View(8, 6, fx=10.0, fy=12.0, cx=4.0, cy=2.5, T_world_view=T @ T_ISO_OPENCV)
 
 
 @given(st.tuples(*[st.floats(-100, 100)] * 3), st.tuples(*[st.floats(-180, 180)] * 3), st.floats(0.1, 1000))

@@ -78,8 +78,8 @@ class TextureParams(Params):
                     f"texture.{key} = {given}: cannot show {pixels} {key} of pixels; give at least {pixels}, better "
                     f"{TEXELS_A_PIXEL * pixels}, or leave it out"
                 )
-        given = (self.left_deg, self.right_deg, self.bottom_deg, self.top_deg)
-        borders = [usual if own is None else own for own, usual in zip(given, default.borders_deg, strict=True)]
+        own = (self.left_deg, self.right_deg, self.bottom_deg, self.top_deg)
+        borders = [usual if each is None else each for each, usual in zip(own, default.borders_deg, strict=True)]
         grid = TexelGrid.from_degrees(1, 1, *borders)
         rows = math.ceil((grid.top - grid.bottom) / (default.top - default.bottom) * default.rows)
         cols = math.ceil((grid.left - grid.right) / (default.left - default.right) * default.cols)

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from luxloop.world.frames import R_ISO_OPENCV, View, pose, pose_from_degrees
+from luxloop.world.frames import T_ISO_OPENCV, View, pose_from_degrees
 from luxloop.world.headlight.lamp import Lamp, Module
 from luxloop.world.lamps.presets import idealised
 from luxloop.world.light.emitters import ambient_luminance, sources, surface_light, wall_illuminance
@@ -43,7 +43,7 @@ def test_a_lamp_beside_the_middle_shows_parallax(lamp, pattern):
 
 
 def test_views_show_the_sum_of_all_modules_through_the_air(lamp, pattern):
-    eye = pose_from_degrees((0.0, 0.0, 300.0), pitch_deg=90.0) @ pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
+    eye = pose_from_degrees((0.0, 0.0, 300.0), pitch_deg=90.0) @ T_ISO_OPENCV
     view = View(8, 12, 60.0, 60.0, 4.0, 18.0, eye)  # 40 m wide, from 0 to 60 m ahead
     road = flat_road(view, 0.2, torch.float64)
     lit = sources(lamp, pattern, LEFT)

@@ -6,15 +6,16 @@ from functools import cache
 import pytest
 import torch
 
-from luxloop.world.frames import inverse, pose_from_degrees, transform
+from luxloop.world.frames import View, inverse, pose_from_degrees, transform
 from luxloop.world.materials.library import RoadSurfaceParams
 from luxloop.world.rendering.deferred import DeferredRenderer
+from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.rendering.rasterise import NoOpenGL
 from luxloop.world.rendering.raycast import RayCaster, sees
 from luxloop.world.rendering.surfaces import ExactSurfaces, QuickSurfaces, SurfaceSource
 from luxloop.world.scene.body import Body, PoseTrack
 from luxloop.world.scene.scene import Scene
-from luxloop.world.scene.triangles import NOTHING
+from luxloop.world.scene.triangles import NOTHING, Triangles
 from luxloop.world.traffic.objects import BoxParams
 from tests.world.grids import bumpy, camera, lamp
 
@@ -48,9 +49,14 @@ def scene(T_moved: torch.Tensor | None = None) -> Scene:
     return Scene(tuple(replace(body, track=PoseTrack.static(T @ body.track.pose_at(0.0))) for body in bodies()))
 
 
+def both(triangles: Triangles, view: View) -> tuple[GBuffer, GBuffer]:
+    """Surfaces as rays find them, and as the quick way does."""
+    return ExactSurfaces(RayCaster()).gbuffer(triangles, view), quick().gbuffer(triangles, view)
+
+
 def test_the_quick_way_sees_what_the_exact_one_sees():
     triangles, view = scene().at(0.0), camera()
-    exact, fast = ExactSurfaces(RayCaster()).gbuffer(triangles, view), quick().gbuffer(triangles, view)
+    exact, fast = both(triangles, view)
     same = exact.object_id == fast.object_id
     # outlines, at which a ray passes a corner that is snapped to 1/256 px
     assert same.float().mean() > 0.999 and set(fast.object_id.unique().tolist()) == {-1, 0, 1, 2}
@@ -73,7 +79,7 @@ def test_far_from_the_origin_of_the_world_smooth_bumps_shade_no_points_more():
     mesh = bumpy().apply_translation((1500.0, 0.0, 0.0))
     triangles, lamp_m = Scene((Body("road", mesh, smooth=True, ground=True),)).at(0.0), lamp().origin + T[:3, 3]
     view = replace(view, T_world_view=T @ view.T_world_view)
-    exact, fast = ExactSurfaces(RayCaster()).gbuffer(triangles, view), quick().gbuffer(triangles, view)
+    exact, fast = both(triangles, view)
     away = lamp_m.float()[:, None, None] - exact.position
     facing = (exact.object_id == 0) & (fast.object_id == 0) & ((exact.normal * away).sum(0) > 0) & (away[0] < -3)
     in_light, found = (sees(triangles, lamp_m, each.position[:, facing]) for each in (exact, fast))
@@ -110,7 +116,7 @@ def test_a_thin_wall_shades_what_stands_close_behind_it():
 
 def test_the_quick_way_finds_the_same_points_in_shadow():
     triangles, view, lamp_m = scene().at(0.0), camera(), lamp().origin
-    exact, fast = ExactSurfaces(RayCaster()).gbuffer(triangles, view), quick().gbuffer(triangles, view)
+    exact, fast = both(triangles, view)
     road = (exact.object_id == 0) & (fast.object_id == 0) & (exact.position[0] > 3)
     in_light, found = (sees(triangles, lamp_m, each.position[:, road]) for each in (exact, fast))
     assert 0.01 < (~in_light).float().mean() < 0.9  # there are shadows
