@@ -23,7 +23,9 @@ Side = Literal["left", "right"]
 Indicator = Literal["off", "left", "right", "hazard"]
 Priority = Annotated[int, Field(ge=0, le=100, description="where functions overlap, the higher priority is drawn")]
 DrawingModules = Annotated[tuple[str, ...], Field(description="lamps or modules that draw the light; left out: all")]
-MASK = 1000  # priority of masks: above every function's own, which are at most 100
+SURE = 0.7  # confidence below which an object may be another, or none
+MASK = 1000  # priority of the nearest object's mask
+SOFT_MASK = 101  # of soft zones and fading masks: above every function's own, which are at most 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +136,14 @@ class Situation:
         T_vehicle_object = inverse(self.T_world_vehicle.double()) @ each.T_world_object.double()
         corners = transform(T_vehicle_object, torch.stack([x, y, zero]))
         return float(corners[:2].norm(dim=0).amin().copysign(corners[0].amax()))
+
+    def nearer(self, each: TrackedObject) -> int:
+        """Number of tracked objects that are nearer than an object."""
+        return sum(self.distance_m(other) < self.distance_m(each) for other in self.objects)
+
+    def mask_layer(self, each: TrackedObject) -> int:
+        """Priority of an object's mask: that of nearer objects is higher, with room for their own light in between."""
+        return (MASK - 2 * self.nearer(each)) * LAYERS
 
 
 def check_share(quantity: str, value: float) -> None:

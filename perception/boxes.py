@@ -1,6 +1,6 @@
 """Boxes in the image and on the road: positions, hidden parts, and vehicles located by their lamps."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -53,6 +53,13 @@ def nearness(view: View, u: Tensor, v: Tensor) -> Tensor:
     return (-_direction(view, u, v)[..., 2] / _height(view)).clamp(min=1 / FARTHEST_M)
 
 
+def range_rate(view: View, foot: Tensor) -> Tensor:
+    """Relative rate `[...]` in 1/s of the range of feet `[..., 2, 2]`, u and v in px and their rates a second, on the road."""
+    at, rate = foot.unbind(-1)
+    change = (_direction(view, *(at + rate).unbind(-1)) - _direction(view, *at.unbind(-1)))[..., 2] / _height(view)
+    return change / nearness(view, *at.unbind(-1))
+
+
 def road_rows(view: View, u: Tensor) -> tuple[Tensor, float]:
     """Row of the horizon in columns `[...]` px, and by how many px per m the scale on the road grows from one row to the next."""
     _, down, ahead = view.T_world_view[2, :3].unbind()
@@ -80,6 +87,7 @@ HEIGHTS_M: Mapping[Category, tuple[float, float]] = {  # of the lowest and of th
 WIDTHS_M: Mapping[Category, tuple[float, float]] = {"pedestrian": (0.3, 1.3), "cyclist": (0.4, 2.1), "motorcycle": (0.5, 2.4)}
 USUAL_HEIGHTS_M: Mapping[Category, float] = {"pedestrian": 1.7, "cyclist": 1.75}
 USUAL_WIDTHS_M: Mapping[Category, float] = {"motorcycle": 0.8, "car": 1.8, "truck": 2.5}
+LEAST_EVIDENCE = -3.0  # logarithm of a likelihood ratio: one in twenty objects is of no usual size
 WHOLE = 0.85  # of the expected width or height: a smaller box is a part
 MEASURED = (0.05, 0.08)  # standard deviation of the foot of a detected box, across and down, in the root of its area
 MISSING = 0.5  # standard deviation of a part, as a share of its missing width or height
@@ -126,6 +134,23 @@ def standing(boxes: Tensor, categories: tuple[Category, ...], view: View) -> Ten
     lowest = torch.where(cut, usual, torch.where(bottom - top > high * scale * (bottom - horizon), foot(high), bottom))
     bottom = torch.minimum(torch.maximum(bottom, lowest), bottom + (bottom - top))
     return torch.stack([left, torch.minimum(top, bottom - low * scale * (bottom - horizon)), right, bottom], -1)
+
+
+def plausible(scores: Tensor, boxes: Tensor, categories: Sequence[Category], view: View) -> Tensor:
+    """Scores `[n, C]` of boxes `[n, 4]` px by Bayes' rule with the height on the road at the foot; categories: of the best scores.
+
+    The logarithm of an object's height is normal, with the limits of its class at two standard deviations, beside the error of the foot.
+    Only boxes that are too high lose: low ones may be parts, and the height of one that the image cuts off is unknown.
+    """
+    left, top, right, bottom = boxes.unbind(-1)
+    near = nearness(view, (left + right) / 2, bottom)
+    limits = torch.tensor([HEIGHTS_M.get(each, (0.1, 10.0)) for each in categories]).to(boxes).view(-1, 2).log()
+    size_px = ((right - left) * (bottom - top)).clamp(min=1).sqrt()
+    spread = torch.hypot((limits[:, 1] - limits[:, 0]) / 4, MEASURED[1] * size_px / (near * _height(view) * view.fx))
+    z = (((bottom - top).clamp(min=1) / (near * view.fx)).log() - limits.mean(-1)) / spread
+    cut = (left <= EDGE_PX) | (right >= view.width - EDGE_PX) | (bottom >= view.height - 1)
+    evidence = torch.where(cut, 0.0, (1 - z.clamp(min=0) ** 2 / 2).clamp(LEAST_EVIDENCE, 0.0))
+    return torch.special.expit(torch.logit(scores) + evidence[:, None])
 
 
 def complete(boxes: Tensor, expected: Tensor) -> Tensor:

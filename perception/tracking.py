@@ -27,6 +27,8 @@ from luxloop.perception.boxes import (
     nearness,
     occluders_of,
     parts_of,
+    plausible,
+    range_rate,
     similar_classes,
     spread_of,
     standing,
@@ -91,9 +93,9 @@ class Tracks:
     """All n tracks after a frame at time_s, C classes. following: number of the next new track.
 
     number: `[n]`, the identity. mean: `[n, 2, 2]`, u and v of the foot in px and their rates a second. covariance: `[n, 2, 2, 2]`. size_m:
-    `[n, 2]`, width and height. frames: `[n]`, number of frames with a detection. since_s, seen_s, until_s: `[n]`, times of confirmation,
-    last detection and loss; inf: not yet. category: `[n]`, index of the class. confidence: `[n, C]`, filtered. score: `[n, C]` in this
-    frame, NaN if not detected.
+    `[n, 2]`, width and height. frames: `[n]`, number of frames with a detection. odds_s: `[n]`, log odds of existence times the period of
+    frames: the time without a detection that a track outlasts. since_s, until_s: `[n]`, times of confirmation and loss; inf: not yet.
+    category: `[n]`, index of the class. confidence: `[n, C]`, filtered. score: `[n, C]` in this frame, NaN if not detected.
     """
 
     time_s: float
@@ -102,8 +104,8 @@ class Tracks:
     covariance: Tensor
     size_m: Tensor
     frames: Tensor
+    odds_s: Tensor
     since_s: Tensor
-    seen_s: Tensor
     until_s: Tensor
     category: Tensor
     confidence: Tensor
@@ -128,18 +130,19 @@ class Tracks:
         return self.take(self.since_s.isfinite() & self.until_s.isinf())
 
 
-EACH = ("number", "mean", "covariance", "size_m", "frames", "since_s", "seen_s", "until_s", "category", "confidence", "score")
+EACH = ("number", "mean", "covariance", "size_m", "frames", "odds_s", "since_s", "until_s", "category", "confidence", "score")
 
 
 STARTS = (4.0, 0.5)  # of a new track's rates, in sizes a second: 4 m/s across for a pedestrian's size, less up and down
 CHANGES = (1.0, 0.3)  # of how rates change, in sizes and the root of a second
-GATE = 4.0  # standard deviations in u and v beyond which a detection belongs to no track
+GATE = 4.0  # standard deviations in u and v beyond which a detection belongs to no track, unless both boxes are of the same object
 OTHER_CLASS = 0.5  # cost of a detection with score 0 for the track's class
 LARGEST_COST = 1.8  # above it a track gets no detection; overlap costs at most 1, a distance of one size 1
 FOLLOWS_S = 1.0  # time constant of the low-pass filter of sizes
 WEAK = 0.5  # of the score that starts a track: least score that continues one
-KEPT = 2.0  # longest time without detection, as a multiple of the time with detections
+SUREST = 0.95  # score above which a detection tells no more of existence
 BOTH = 0.5  # IoU of a box with a second track, without a detection, above which the box may belong to both
+GROWTH = (0.5, 1.0)  # limits of an object's range after a prediction, relative to that before; what hides feet seems to recede
 LINGER_S = 2.0  # time for which a lost track is still reported, so that its light can fade
 SURER = 2.0  # ratio of another class's score to its own at which a track changes class
 
@@ -151,10 +154,10 @@ class TrackerParams(Params):
     start_score: PositiveShare = Field(0.5, description="least score of a detection that starts a track; half of it continues one")
     confirm_frames: int = Field(3, ge=1, le=30, description="consecutive frames with at least that score before a new object is reported")
     keep_s: float = Field(
-        1.0,
+        0.6,
         ge=0,
         le=10,
-        description="time for which an undetected object is kept at its predicted place, at most twice the time of its detection",
+        description="time for which a surely detected object is kept undetected at its predicted place; others are kept for less",
     )
     confidence_s: float = Field(0.15, ge=0, le=10, description="time constant of the low-pass filter from scores to confidence; 0: none")
 
@@ -177,8 +180,8 @@ class Tracker:
         return self._start(1, Detections(torch.zeros(0, 4).double(), torch.zeros(0, len(self.classes)).double()), 0.0)
 
     def follow(self, tracks: Tracks, found: Detections, frame: Tensor, time_s: float) -> Tracks:
-        """The tracks after a frame `[height, width]`, shares of the largest digital number. Vehicles without a detection continue with
-        reduced confidence if their lamps are seen.
+        """The tracks after a frame `[height, width]`, shares of the largest digital number. Vehicles without a detection continue as sure
+        as they were if their lamps are seen.
         """
         present = self.at(tracks, time_s).present
         boxes, scores = self.whole(present), found.scores.detach().double().cpu()
@@ -188,7 +191,8 @@ class Tracker:
         metre = (boxes[missed, 2] - boxes[missed, 0]) / present.size_m[missed, 0]
         moved = by_lamps(frame, boxes[missed], metre, boxes[~missed])
         there = moved.isfinite().all(-1)
-        kept = one_hot(present.category[missed][there], len(self.classes)).double() * self.params.keeps_score
+        sure_so_far = present.confidence[missed][there].amax(-1, keepdim=True).clamp(min=self.params.keeps_score)
+        kept = one_hot(present.category[missed][there], len(self.classes)).double() * sure_so_far
         all_found = Detections(torch.cat([found.boxes.detach().double().cpu(), moved[there]]), torch.cat([scores, kept]))
         return self.step(tracks, all_found, time_s)
 
@@ -208,13 +212,18 @@ class Tracker:
         return torch.stack([u - width / 2, v - height, u + width / 2, v], -1)
 
     def at(self, tracks: Tracks, time_s: float) -> Tracks:
-        """The tracks predicted to a time by their rates; lost tracks do not move."""
+        """The tracks predicted to a time at constant velocity on the road; lost tracks do not move.
+
+        In the image, rates grow with the square of nearness: after a time t the foot has moved by u' t / g and v' t / g, where the range
+        is g times what it was.
+        """
         dt = (time_s - tracks.time_s) * tracks.until_s.isinf().double()[:, None]
+        growth = (1 + dt * range_rate(self.view, tracks.mean)[:, None]).clamp(*GROWTH)
         changes = (torch.tensor(CHANGES).double() * self._px(tracks)[:, None]) ** 2
         a, b, c = tracks.covariance[..., 0, 0], tracks.covariance[..., 0, 1], tracks.covariance[..., 1, 1]
         ahead, both, rate = a + 2 * dt * b + dt**2 * c + changes * dt**3 / 3, b + dt * c + changes * dt**2 / 2, c + changes * dt
         covariance = torch.stack([torch.stack([ahead, both], -1), torch.stack([both, rate], -1)], -2)
-        mean = torch.stack([tracks.mean[..., 0] + dt * tracks.mean[..., 1], tracks.mean[..., 1]], -1)
+        mean = torch.stack([tracks.mean[..., 0] + dt * tracks.mean[..., 1] / growth, tracks.mean[..., 1] / growth**2], -1)
         return replace(tracks, time_s=time_s, mean=mean, covariance=covariance)
 
     def step(self, tracks: Tracks, found: Detections, time_s: float) -> Tracks:
@@ -257,15 +266,17 @@ class Tracker:
         likeness = found.scores[:, tracks.category].T / found.scores.amax(-1).clamp(min=1e-9)
         trusted = (found.scores.amax(-1) / self.params.start_score).clamp(max=1)
         cost = (1 - overlaps(expected, found.boxes) + far + OTHER_CLASS * (1 - likeness)) / trusted
-        impossible = (off**2 > GATE**2 * spread).any(-1)
+        impossible = (off**2 > GATE**2 * spread).any(-1) & (overlaps(expected, found.boxes) < SAME)
         cost = torch.where(impossible, LARGEST_COST, cost.clamp(max=LARGEST_COST))
         rows, columns = (torch.from_numpy(each) for each in linear_sum_assignment(cost.numpy()))
         possible = cost[rows, columns] < LARGEST_COST
         return rows[possible], columns[possible]
 
     def _standing(self, found: Detections) -> Detections:
-        """Detections of sufficient score, completed to whole boxes."""
-        boxes, scores = found.boxes.detach().double().cpu(), found.scores.detach().double().cpu()
+        """Detections of sufficient score, by Bayes' rule with their heights, completed to whole boxes."""
+        boxes = found.boxes.detach().double().cpu()
+        kinds = [self.classes[number] for number in found.scores.argmax(-1).tolist()]
+        scores = plausible(found.scores.detach().double().cpu(), boxes, kinds, self.view)
         sure = scores.amax(-1) >= self.params.keeps_score
         names = tuple(self.classes[number] for number in scores[sure].argmax(-1).tolist())
         return Detections(standing(boxes[sure], names, self.view), scores[sure])
@@ -301,8 +312,9 @@ class Tracker:
         likely = (frames >= self.params.confirm_frames) & (confidence.amax(-1) >= self.params.start_score)
         whole = self.whole(tracks)
         away = (whole[:, 2] < 0) | (whole[:, 0] > self.view.width)
-        kept_s = (KEPT * dt * frames.double()).clamp(max=self.params.keep_s)
-        gone = ~shown & (away | (time_s - tracks.seen_s > kept_s + dt / 2))  # half a frame, for rounded times
+        evidence = score.amax(-1).clamp(max=SUREST).logit() - math.log(self.params.keeps_score / (1 - self.params.keeps_score))
+        odds_s = (tracks.odds_s + dt * torch.where(shown, evidence, -1.0)).clamp(max=self.params.keep_s)
+        gone = ~shown & (away | (odds_s < -dt / 2))  # half a frame, for rounded times
         return replace(
             tracks,
             frames=frames,
@@ -310,7 +322,7 @@ class Tracker:
             confidence=confidence,
             score=score,
             since_s=torch.where(shown & likely & tracks.since_s.isinf(), time_s, tracks.since_s),
-            seen_s=torch.where(shown, time_s, tracks.seen_s),
+            odds_s=odds_s,
             until_s=torch.where(gone, time_s, tracks.until_s),
         )
 
@@ -326,8 +338,8 @@ class Tracker:
             covariance=torch.diag_embed((px[:, None, None] * deviations) ** 2),
             size_m=self._size_m(found.boxes, at),
             frames=torch.ones(n, dtype=torch.int64),
+            odds_s=torch.zeros_like(now),
             since_s=now if self.params.confirm_frames == 1 else never,
-            seen_s=now,
             until_s=never,
             category=found.scores.argmax(-1),
             confidence=found.scores,

@@ -12,7 +12,7 @@ from torch import Tensor
 from luxloop.controllers.functions.object_loop import Ambient, AmbientLoopParams, ObjectLoop, ObjectLoopParams
 from luxloop.controllers.geometry import Place
 from luxloop.controllers.pixels.primitives import Primitives
-from luxloop.controllers.situation import LAYERS, MASK, DrawingModules, Priority, SelectionParams, Situation, TrackedObject, fade
+from luxloop.controllers.situation import LAYERS, SURE, DrawingModules, Priority, SelectionParams, Situation, TrackedObject, fade
 from luxloop.perception.tracking import LINGER_S
 from luxloop.world.frames import transform
 from luxloop.world.params import Distance, NotNegative, Params, Share
@@ -20,7 +20,6 @@ from luxloop.world.traffic.tracked import ROAD_USERS, Category
 
 NEAREST_M = 1.0  # objects nearer to a lamp are not lit; no lamp's light falls on heads there
 TEXEL_RAD = 1e-3  # texel width, over which light is interpolated
-SURE = 0.7  # confidence below which any object may be a person
 CELLS = 16  # texels per stripe
 CORE_M = 0.3  # width of an object's opaque core, in its middle
 Pattern = Literal["homogeneous", "stripes", "checks"]
@@ -43,24 +42,25 @@ class ObjectLightParams(Params):
     dark_lx: NotNegative = Field(0.6, description="illuminance of the dark part, with `ssc.a_d` = 1; detectors need to see heads")
 
     def on(
-        self, each: TrackedObject, lamps: Tensor, lx: float, priority: int, nearer: int, modules: tuple[str, ...]
+        self, each: TrackedObject, lamps: Tensor, lx: float, priority: int, layer: int, modules: tuple[str, ...]
     ) -> tuple[Primitives, ...]:
         """Primitives that light the object with lx and leave part of it dark; none for objects beside or behind the lamps.
 
-        lamps: positions `[L, 3]` m. nearer: number of nearer objects. The dark part overrides all light except on the opaque cores of
-        nearer objects. Only road users have a core, since much of an animal's box is air. The dark part extends equally far above and below
+        lamps: positions `[L, 3]` m. layer: priority of the dark part, which overrides all light except on the opaque cores of nearer
+        objects. Only road users have a core, since much of an animal's box is air. The dark part extends equally far above and below
         the top of the box, since a detector's box may end below a dark head.
         """
         (low, high), height = each.bounds, each.size_m[2]
         body = frontal(each.T_world_object, low, high, lamps, self.margin_m, self.margin_m)
         if body is None:
             return ()
-        layer, image = (MASK - 2 * nearer) * LAYERS, self._image(body)
+        image = self._image(body)
         parts = [body.light(lx, "E_v", symbol=image, priority=priority * LAYERS, modules=modules)]
-        if image is None and each.category in ROAD_USERS and not math.isnan(each.score):
+        if image is None and each.category in ROAD_USERS:
             across, down = min(1.0, CORE_M / float(body.d1.norm())), 1 - self.margin_m / float(body.d2.norm())
             core = Place(body.origin + (1 - across) / 2 * body.d1, across * body.d1, down * body.d2, body.normal)
-            parts.append(core.light(lx, "E_v", forced=True, priority=layer - LAYERS, modules=modules))
+            core_lx = min(lx, self.dark_lx) if math.isnan(each.score) or each.confidence < SURE else lx
+            parts.append(core.light(core_lx, "E_v", forced=True, priority=layer - LAYERS, modules=modules))
         share = self.dark.get(each.category, 0.0)
         if each.confidence < SURE:
             share = max(share, self.dark.get("pedestrian", 0.0))
@@ -203,10 +203,10 @@ class ObjectBasedParams(SelectionParams):
     def adapted(self, state: ObjectBasedState, now: Situation) -> tuple[Primitives, ...]:
         """The primitives of each object: its light and its dark part."""
         parts: list[Primitives] = []
-        for nearer, each in enumerate(sorted(self.select(now), key=now.distance_m)):
+        for each in self.select(now):
             share = fade(now.time_s, each.since_s, each.until_s, 0.0, self.fade_out_s)
             if share:
-                parts += self.light.on(each, now.lamps, share * self.lx(state, each), self.priority, nearer, self.modules)
+                parts += self.light.on(each, now.lamps, share * self.lx(state, each), self.priority, now.mask_layer(each), self.modules)
         return tuple(parts)
 
     def base_share(self, state: ObjectBasedState) -> float:

@@ -13,7 +13,8 @@ from luxloop.controllers.geometry import Place, cuboid, facing, strip
 from luxloop.controllers.pixels.primitives import Primitives, rectangle
 from luxloop.controllers.situation import (
     LAYERS,
-    MASK,
+    SOFT_MASK,
+    SURE,
     Category,
     DrawingParams,
     Priority,
@@ -28,6 +29,7 @@ from luxloop.world.frames import inverse, transform
 from luxloop.world.params import Distance, Length, NotNegative, Params, PositiveShare, Share
 
 FADING = 1e6  # weight of a fading mask: above all finite weights; full masks have infinite weight and are not averaged with it
+PROBE_LX = 0.3  # in the mask of an object that is not found for sure: a detector finds vehicles in it, and it dazzles nobody
 CLEARANCE = 0.8  # largest share of the gap between box and lamp for a margin
 
 
@@ -58,7 +60,8 @@ class GlareFreeParams(SelectionParams):
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """A cuboid of six outward primitives for each object, forced and of infinite weight, and one cuboid for each soft zone.
 
-        A fading mask lets light through again and must yield to full masks, so its weight is finite and its priority lower.
+        A fading mask lets light through again and must yield to full masks, so its weight is finite and its priority lower. Full masks
+        yield to the light on nearer objects.
         """
         return tuple(part for each in self.select(now) for part in self._around(each, now))
 
@@ -68,15 +71,16 @@ class GlareFreeParams(SelectionParams):
             return ()
         T, lamps = each.T_world_object, now.lamps
         distance = float((T[:3, 3] - lamps.to(T)).norm(dim=-1).amin())
+        probe_cd = PROBE_LX * max(distance - each.size_m[0] / 2, 1.0) ** 2 * min((1 - each.confidence) / (1 - SURE), 1.0)
         margin = self.margin_m + distance * math.tan(math.radians(self.margin_deg))
-        mask = cuboid(T, *extend_box(each, margin, lamps))
-        dark = share == 1
-        quantity: Literal["u_abs", "u_rel"] = "u_abs" if dark else "u_rel"
-        weight, priority = math.inf if dark else FADING, (MASK + dark) * LAYERS + LAYERS - 1
-        parts = [rectangle(*mask, 1 - share, quantity, weight=weight, forced=True, priority=priority)]
+        mask, soft = cuboid(T, *extend_box(each, margin, lamps)), SOFT_MASK * LAYERS + LAYERS - 1
+        if share == 1:
+            parts = [rectangle(*mask, probe_cd, "I_v", weight=math.inf, forced=True, priority=now.mask_layer(each) + LAYERS - 1)]
+        else:
+            parts = [rectangle(*mask, 1 - share, "u_rel", weight=FADING, forced=True, priority=soft)]
         for layer, zone in enumerate(self.soft_zones, 1):
             box = cuboid(T, *extend_box(each, margin + zone.margin_m, lamps))
-            parts.append(rectangle(*box, 1 - share * (1 - zone.u_rel), "u_rel", forced=True, priority=MASK * LAYERS + LAYERS - 1 - layer))
+            parts.append(rectangle(*box, 1 - share * (1 - zone.u_rel), "u_rel", forced=True, priority=soft - layer))
         return tuple(parts)
 
 

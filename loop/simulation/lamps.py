@@ -19,7 +19,7 @@ from luxloop.controllers.pixels.primitives import Primitives, names_module
 from luxloop.controllers.pixels.secondary import SecondaryRays, scene_caster
 from luxloop.controllers.pixels.ssc import PixelController, Ssc, Utilisation
 from luxloop.controllers.pixels.windows import projected_windows
-from luxloop.controllers.situation import LAYERS, MASK, Situation
+from luxloop.controllers.situation import LAYERS, SOFT_MASK, Situation
 from luxloop.loop.scenario.model import HeadlightParams, Scenario
 from luxloop.loop.scenario.shipped import find_file
 from luxloop.loop.simulation.part_cache import PartCache
@@ -129,7 +129,7 @@ class ShiningModule(MountedModule):
     def mask_limit(self, plan: Plan) -> Tensor:
         """Largest utilisation `[n_p]` that masks and their soft zones leave."""
         full, drawn = torch.ones_like(self.flux), plan.for_module(self.name)
-        masks = None if drawn is None else drawn.select(drawn.priority >= MASK * LAYERS)
+        masks = None if drawn is None else drawn.select(drawn.priority >= SOFT_MASK * LAYERS)
         return self.controller.over(full).utilisation(masks.to(full.device), self.T_world_module).u if masks else full
 
 

@@ -11,6 +11,7 @@ from luxloop.perception.boxes import (
     FARTHEST_M,
     HEIGHTS_M,
     LEANS,
+    LEAST_EVIDENCE,
     LENGTH_M,
     MEASURED,
     MISSING,
@@ -21,6 +22,7 @@ from luxloop.perception.boxes import (
     occluders_of,
     parts_of,
     place_boxes,
+    plausible,
     spread_of,
     standing,
 )
@@ -41,6 +43,21 @@ def test_whoever_stands_on_the_road_is_left_alone(x, height_m):
     """Between the least and the greatest height, but for 2 %: rows of a camera that looks down are no heights on the road."""
     box = upright(x, 0.6, height_m)
     assert_close(standing(box, ("pedestrian",), VIEW), box)
+
+
+def test_a_box_too_high_for_its_class_loses_score_by_bayes_and_a_low_one_none():
+    """1.43 m is the geometric middle of a pedestrian's limits, 1.05 and 2.0 m lie within two standard deviations of it; 4 m lose most."""
+    scores = torch.tensor([[0.7, 0.2]]).double()
+
+    def of(height_m: float, x: float = 20.0) -> torch.Tensor:
+        return plausible(scores, upright(x, 0.6, height_m), ["pedestrian"], VIEW)
+
+    for height_m in (0.6, 1.05, 1.7):
+        assert_close(of(height_m), scores)
+    assert 0.7 > float(of(2.0)[0, 0]) > float(of(2.4)[0, 0]) > float(of(4.0)[0, 0])
+    assert_close(of(4.0), torch.special.expit(torch.logit(scores) + LEAST_EVIDENCE))
+    assert_close(of(2.4, x=4.0), scores)  # the image cuts off its foot
+    assert_close(plausible(torch.ones(1, 2).double(), upright(20.0, 0.6, 4.0), ["pedestrian"], VIEW), torch.ones(1, 2).double())
 
 
 @given(st.floats(7, 60), st.floats(0.2, 0.9))

@@ -62,4 +62,4 @@ def test_a_dark_car_is_kept_while_both_lamps_shine(start_score, lamps, score):
     if lamps == 2:
         # px; lamps are whole ones, and so is what they say of the foot
         torch.testing.assert_close(tracker.boxes(kept), box, rtol=0, atol=2.0)
-        assert float(kept.score.max()) == tracker.params.keeps_score
+        assert float(kept.score.max()) == float(kept.confidence.max()) == 1.0

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from luxloop.controllers.functions.objects import GlareFreeParams, extend_box
+from luxloop.controllers.functions.object_based import ObjectBasedParams
+from luxloop.controllers.functions.objects import PROBE_LX, GlareFreeParams, extend_box
 from luxloop.controllers.geometry import cuboid
 from luxloop.controllers.pixels.primitives import Primitives, concatenate
 from luxloop.controllers.pixels.ssc import Ssc
@@ -147,6 +148,26 @@ def test_no_light_gets_to_the_box(light, x, y, margin):
     aside = 3 + 0.1 * x
     beside = torch.tensor([[x, x], [y + aside, y - aside], [0.5, 0.5]], dtype=torch.float64)
     assert_close(*light_on(now(each), light, GlareFreeParams(), beside))
+
+
+@pytest.mark.parametrize(("confidence", "share"), [(1.0, 0.0), (0.85, 0.5), (0.3, 1.0)])
+def test_who_is_not_found_for_sure_gets_light_to_be_found_in(confidence, share):
+    """The share of PROBE_LX from each lamp that confidence lacks, and with pixels as large as these at most 1.6 times as much."""
+    each = car(25.0, 2.5, confidence=confidence)
+    points = surface(each)
+    masked, _ = light_on(now(each), COARSE, GlareFreeParams(), points)
+    lx = masked / (points[:, None] - LAMPS.T[..., None]).square().sum(0).float()
+    assert share * PROBE_LX <= float(lx.max()) <= 1.6 * share * PROBE_LX
+
+
+def test_a_mask_yields_to_the_light_on_someone_nearer_and_covers_someone_farther():
+    person = TrackedObject("p", "pedestrian", pose_from_degrees((30.0, 1.0, 0.0)), (0.4, 0.5, 1.7))
+    function = ObjectBasedParams(categories=("pedestrian",))
+    for x, covers in ((15.0, True), (45.0, False)):
+        situation = now(person, car(x, 1.0))
+        (mask,) = GlareFreeParams().primitives(situation)
+        core = function.adapted(function.start(), situation)[1]
+        assert core.forced.all() and bool((mask.priority > core.priority).all()) == covers
 
 
 def test_light_far_beside_the_box_stays():
