@@ -219,6 +219,15 @@ def test_a_box_of_two_who_pass_each_other_moves_neither():
     torch.testing.assert_close(TRACKER.boxes(tracks), wanted, rtol=0, atol=2.0)  # px, half of the noise that is reckoned with
 
 
+@pytest.mark.parametrize(("aside_px", "numbers"), [(6, [1]), (45, [1, 2])])
+def test_a_second_track_of_one_object_ends_as_soon_as_it_is_not_found(aside_px, numbers):
+    """A detector draws two boxes for a while; beside each other they are two people, of whom one is missed."""
+    both = detections(BOX, moved(BOX, aside_px, 8, aside_px, 8))
+    start = tracked([both] * 5)
+    assert start.number.tolist() == [1, 2]
+    assert tracked([both] * 5 + [detections(BOX)] * 2).present.number.tolist() == numbers
+
+
 @pytest.mark.parametrize("side", [-1, 1])
 def test_whoever_walks_out_of_the_image_is_followed_to_its_border_and_no_longer(side):
     tracks, found = TRACKER.start(), 0
