@@ -328,14 +328,17 @@ class Tracker:
         )
 
     def _doubles(self, tracks: Tracks, shown: Tensor) -> Tensor:
-        """Which tracks `[n]` without a detection are the same object as one that is surer, by overlap, foot and rates."""
-        boxes, similar = self.whole(tracks), similar_classes(self.classes)[tracks.category][:, tracks.category]
+        """Which tracks `[n]` of vehicles without a detection are the same as a surer one, by overlap, foot and rates.
+
+        People pass each other closely, so that one who is hidden would look like a double.
+        """
+        boxes, solid = self.whole(tracks), torch.tensor([each in SOLID for each in self.classes])[tracks.category]
         off = tracks.mean[:, None] - tracks.mean[None]  # [n, n, 2, 2]
         spread = tracks.covariance[:, None] + tracks.covariance[None]
         spread[..., 0, 0] += spread_of(boxes, boxes)
         near = (off * torch.linalg.solve(spread, off)).sum(-1).amax(-1) < DOUBLE**2
         surer = tracks.odds_s[None] > tracks.odds_s[:, None]
-        return ~shown & (near & surer & similar & (overlaps(boxes, boxes) >= BOTH)).any(-1)
+        return ~shown & solid & (near & surer & solid & (overlaps(boxes, boxes) >= BOTH)).any(-1)
 
     def _start(self, following: int, found: Detections, time_s: float) -> Tracks:
         n, at = len(found), _foot(found.boxes)
