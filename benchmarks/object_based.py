@@ -8,7 +8,7 @@ docs/results/object_based.md.
 import hashlib
 from argparse import Namespace
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +126,12 @@ def goals(light: pd.DataFrame, zones: Mapping[str, Row], situations: Mapping[str
     return [each._replace(value=None if np.isnan(each.value) else float(each.value)) for each in found]
 
 
+def light_frame(rows: Sequence[Row]) -> pd.DataFrame:
+    """A frame of rows, with numbers also where few scenes have no newcomer or no object that full light shows."""
+    sparse = ("kept", "gap", "eyes_lx", "newcomer_s")
+    return pd.DataFrame([dict.fromkeys(sparse) | row for row in rows]).astype(dict.fromkeys(sparse, float))
+
+
 def light_table(light: pd.DataFrame) -> dict[str, dict[str, Any]]:
     """A row for each variant: what is saved beside what is kept."""
     own = light[light["variant"] == OURS]
@@ -151,7 +157,7 @@ def measure(given: Namespace) -> dict[str, Any]:
     weights = hashlib.sha256(NETWORK.read_bytes()).hexdigest()
     (of_zones, of_tracks, of_scenes), failed = zip(*(study(*each, given, [jobs, tracking], weights) for each in todo.items()), strict=True)
     light = [row for key, result in of_scenes.items() for row in measures(key, result)]
-    frame = pd.DataFrame(light).astype({"kept": float})
+    frame = light_frame(light)
     by_well = pd.DataFrame([zone_row(each) for each in of_zones.values()]).explode("steps").astype(float).groupby("saturation_e")
     zones = {
         f"{well:g} e": {"mean steps": each["steps"].mean(), "worst steps": each["steps"].max(), "worst error": each["error"].max()}

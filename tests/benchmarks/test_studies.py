@@ -204,6 +204,13 @@ def test_measures_of_light(own, full, expected):
     assert {name: found[name] for name in expected} == pytest.approx(expected)
 
 
+def test_few_scenes_may_have_no_newcomer_and_nothing_that_full_light_shows():
+    light = object_based.light_frame([of_light({}, {"a": 0.2})])
+    assert np.isnan(object_based.light_table(light)["luxloop"]["newcomer lit within 0.5 s"])
+    missing = {goal.what for goal in object_based.goals(light, {}, {}) if goal.value is None}
+    assert "A newcomer lit within 0.5 s, share" in missing and "Flux saved against the low beam, median" not in missing
+
+
 LX = [0.1] * 3 + [4.0] + [9.0] * 26  # half of the light at the end is 4.5 lx
 NEVER = float("inf")
 
