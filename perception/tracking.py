@@ -136,7 +136,6 @@ EACH = ("number", "mean", "covariance", "size_m", "frames", "odds_s", "since_s",
 STARTS = (4.0, 0.5)  # of a new track's rates, in sizes a second: 4 m/s across for a pedestrian's size, less up and down
 CHANGES = (1.0, 0.3)  # of how rates change, in sizes and the root of a second
 GATE = 4.0  # standard deviations in u and v beyond which a detection belongs to no track, unless both boxes are of the same object
-DOUBLE = 2.0  # standard deviations, of foot and rates together, within which two tracks may be the same object
 OTHER_CLASS = 0.5  # cost of a detection with score 0 for the track's class
 LARGEST_COST = 1.8  # above it a track gets no detection; overlap costs at most 1, a distance of one size 1
 FOLLOWS_S = 1.0  # time constant of the low-pass filter of sizes
@@ -247,7 +246,7 @@ class Tracker:
         there = self.whole(alive)
         no_more = parts_of(found.boxes, there, complete) | solid & occluders_of(found.boxes, there, complete)
         left &= ~(known & no_more).any(0)
-        alive = alive.take((shown | alive.since_s.isfinite()) & ~self._doubles(alive, shown))
+        alive = alive.take(shown | alive.since_s.isfinite())
         started = self._start(tracks.following, Detections(found.boxes[left], found.scores[left]), time_s)
         lost = replace(lost, score=torch.full_like(lost.score, math.nan))
         values: dict[str, Any] = {name: torch.cat([getattr(each, name) for each in (lost, alive, started)]) for name in EACH}
@@ -326,19 +325,6 @@ class Tracker:
             odds_s=odds_s,
             until_s=torch.where(gone, time_s, tracks.until_s),
         )
-
-    def _doubles(self, tracks: Tracks, shown: Tensor) -> Tensor:
-        """Which tracks `[n]` of vehicles without a detection are the same as a surer one, by overlap, foot and rates.
-
-        People pass each other closely, so that one who is hidden would look like a double.
-        """
-        boxes, solid = self.whole(tracks), torch.tensor([each in SOLID for each in self.classes])[tracks.category]
-        off = tracks.mean[:, None] - tracks.mean[None]  # [n, n, 2, 2]
-        spread = tracks.covariance[:, None] + tracks.covariance[None]
-        spread[..., 0, 0] += spread_of(boxes, boxes)
-        near = (off * torch.linalg.solve(spread, off)).sum(-1).amax(-1) < DOUBLE**2
-        surer = tracks.odds_s[None] > tracks.odds_s[:, None]
-        return ~shown & solid & (near & surer & solid & (overlaps(boxes, boxes) >= BOTH)).any(-1)
 
     def _start(self, following: int, found: Detections, time_s: float) -> Tracks:
         n, at = len(found), _foot(found.boxes)

@@ -219,15 +219,6 @@ def test_a_box_of_two_who_pass_each_other_moves_neither():
     torch.testing.assert_close(TRACKER.boxes(tracks), wanted, rtol=0, atol=2.0)  # px, half of the noise that is reckoned with
 
 
-@pytest.mark.parametrize(("aside_m", "scores", "numbers"), [(0.15, CAR, [1]), (2.2, CAR, [1, 2]), (0.15, PEDESTRIAN, [1, 2])])
-def test_a_second_track_of_one_vehicle_ends_as_soon_as_it_is_not_found(aside_m, scores, numbers):
-    """A detector draws two boxes for a while; beside each other they are two vehicles, and of two people one may be hidden."""
-    boxes = [plate(20.0 + aside_m, 1.0 + y, *SIZES["car"]) for y in (0.0, aside_m)]
-    both, one = (detections(*given, scores=[scores] * len(given)) for given in (boxes, boxes[:1]))
-    assert tracked([both] * 5).number.tolist() == [1, 2]
-    assert tracked([both] * 5 + [one] * 2).present.number.tolist() == numbers
-
-
 @pytest.mark.parametrize("side", [-1, 1])
 def test_whoever_walks_out_of_the_image_is_followed_to_its_border_and_no_longer(side):
     tracks, found = TRACKER.start(), 0
