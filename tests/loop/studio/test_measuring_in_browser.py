@@ -29,8 +29,17 @@ NUMBERS = """const { left, top } = document.querySelector('.scene canvas').getBo
       .filter((each) => /^[\\d.]+$/.test(each.innerText) && each.checkVisibility({ visibilityProperty: true }))
       .map((each) => [each.innerText, each.getBoundingClientRect()])
       .map(([text, box]) => [text, (box.left + box.right) / 2 - left, (box.top + box.bottom) / 2 - top])"""
+# a pixel of an object within a facet: beside an edge the neighbouring facet throws a shadow of up to two texels of the page's shadow map
 OF_OBJECT = """const [view, name] = [luxloop.scenes[0], arguments[0]], { clientWidth: w, clientHeight: h } = view.canvas, seen = [];
-    for (let x = 2; x < w; x += 4) for (let y = 2; y < h; y += 4) if (view.hit(x, y)?.object === name) seen.push([x, y]);
+    const facet = (x, y) => {
+      const hit = view.hit(x, y);
+      return hit?.object === name ? hit.normal.map((each) => each.toFixed(3)).join() : null;
+    };
+    const around = [-2, 0, 2].flatMap((dx) => [-2, 0, 2].map((dy) => [dx, dy]));
+    for (let x = 2; x < w - 2; x += 2) for (let y = 2; y < h - 2; y += 2) {
+      const here = facet(x, y);
+      if (here && around.every(([dx, dy]) => facet(x + dx, y + dy) === here)) seen.push([x, y]);
+    }
     return seen[seen.length >> 1]"""
 IN_WORLD = """const [name, point, normal] = arguments, { elements: e } = luxloop.scenes[0].body(name).T;
     const turned = (v) => [0, 1, 2].map((k) => e[k] * v[0] + e[4 + k] * v[1] + e[8 + k] * v[2]);
