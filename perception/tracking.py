@@ -142,7 +142,7 @@ FOLLOWS_S = 1.0  # time constant of the low-pass filter of sizes
 WEAK = 0.5  # of the score that starts a track: least score that continues one
 SUREST = 0.95  # score above which a detection tells no more of existence
 BOTH = 0.5  # IoU of a box with a second track, without a detection, above which the box may belong to both
-GROWTH = (0.5, 1.0)  # limits of an object's range after a prediction, relative to that before; what hides feet seems to recede
+GROWTH = (0.9, 1.0)  # limits of the ratio of ranges in a prediction: what nears faster pitches, and what hides feet seems to recede
 LINGER_S = 2.0  # time for which a lost track is still reported, so that its light can fade
 SURER = 2.0  # ratio of another class's score to its own at which a track changes class
 
