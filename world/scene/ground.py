@@ -108,6 +108,7 @@ class Ground:
         return Instance(object_id, body, torch.eye(4, dtype=torch.float64))
 
 
+@dataclass(frozen=True, eq=False)
 class StandingRoad(Ground):
     """A road meshed as a whole. Raises LuxloopError of a road that has no heights."""
 
