@@ -1,7 +1,9 @@
 """The input of lighting functions: the car, its lamps and the tracked objects at one time."""
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Annotated, Any, Literal, Protocol, Self, runtime_checkable
 
 import torch
@@ -137,13 +139,14 @@ class Situation:
         corners = transform(T_vehicle_object, torch.stack([x, y, zero]))
         return float(corners[:2].norm(dim=0).amin().copysign(corners[0].amax()))
 
-    def nearer(self, each: TrackedObject) -> int:
-        """Number of tracked objects that are nearer than an object."""
-        return sum(self.distance_m(other) < self.distance_m(each) for other in self.objects)
+    @cached_property
+    def _distances_m(self) -> list[float]:
+        return sorted(map(self.distance_m, self.objects))
 
     def mask_layer(self, each: TrackedObject) -> int:
         """Priority of an object's mask: that of nearer objects is higher, with room for their own light in between."""
-        return (MASK - 2 * self.nearer(each)) * LAYERS
+        nearer = bisect_left(self._distances_m, self.distance_m(each))
+        return (MASK - 2 * nearer) * LAYERS
 
 
 def check_share(quantity: str, value: float) -> None:

@@ -47,15 +47,15 @@ class Labels:
         return seen.visible < self.ignore_visible or seen.box[3] - seen.box[1] < self.ignore_height_px
 
 
-def choose_labels(layout: Layout | None, **wanted: Any) -> Labels | None:
+def choose_labels(layout: Layout | None, **files: bool) -> Labels | None:
     """Labels in a layout; None without a layout. Raises LuxloopError for an unknown layout, and for files without a layout."""
     if layout is None:
-        if lonely := [name for name, given in wanted.items() if given]:
+        if lonely := [name for name, wanted in files.items() if wanted]:
             raise LuxloopError(f"--{lonely[0]}: is written beside labels; give --labels coco, --labels kitti or --labels yolo as well")
         return None
     if layout not in get_args(Layout):
         raise LuxloopError(f"labels = {layout!r}: is no layout; choose from {', '.join(map(repr, get_args(Layout)))}")
-    return Labels(layout, **wanted)
+    return Labels(layout, **files)
 
 
 def _array(values: Tensor, dtype: Any) -> np.ndarray:
@@ -147,10 +147,11 @@ class LabelRecorder:
             write_npz(self._directory / files[kind], [(kind, value)])
         self._images.append(json.dumps({"id": number, **files, "time_s": time_s, **coco_poses(lit)}))
         if self._labels.layout == "coco":
+            luminance = _array(world.luminance(time_s, *lights)[0], np.float32) if self._labels.lux else None
             for each in objects:
                 entry = coco_annotation(number, each, instances, len(self._annotations) + 1, self._labels)
-                if self._labels.lux:
-                    entry |= light_on(each, instances, values["lux"], _array(world.luminance(time_s, *lights)[0], np.float32))
+                if luminance is not None:
+                    entry |= light_on(each, instances, values["lux"], luminance)
                 self._annotations.append(json.dumps(entry))
             return
         text = {
