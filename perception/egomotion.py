@@ -1,8 +1,9 @@
 """The vehicle's motion from the samples of its own sensors."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import Final, Literal
 
 import torch
@@ -36,12 +37,15 @@ class Sample:
     values: Tensor
 
 
-Samples = Mapping[Sensor, Sample]
+Samples = tuple[Sample, ...]  # by time of measurement
+KEPT_S: Final = 1.0  # longer than a frame needs to arrive
 
 
-def newest(known: Samples, come: Iterable[Sample]) -> Samples:
-    """The newest sample of each sensor, by time of measurement, of known samples and samples that have come."""
-    return {each.sensor: each for each in sorted((*known.values(), *come), key=lambda each: each.measured_s)}
+def recent(known: Samples, come: Iterable[Sample]) -> Samples:
+    """Known samples and samples that have come: those of the last KEPT_S, and the newest of each sensor."""
+    samples = sorted((*known, *come), key=lambda each: each.measured_s)
+    newest = {each.sensor: each for each in samples}
+    return tuple(each for each in samples if each is newest[each.sensor] or each.measured_s > samples[-1].measured_s - KEPT_S)
 
 
 @dataclass(frozen=True)
@@ -54,8 +58,8 @@ class Ego:
     ground: `[4]` at attitude_s, height in m of the ground frame's origin over a level plane, slope of the ground (nose down) in rad, and
     their rates in m/s and rad/s; 0 if not measured. speed_m_s: `[]`, of the rear axle, mean since the previous sample, extrapolated to
     time_s by an accelerometer if there is one. speed_s: its time of measurement. yaw_rate_rad_s: `[]`, left positive, mean since the
-    previous sample, 0 without a gyro. pivot_x_m: x in the ground frame of the axis of roll and pitch. rear_x_m: x in the ground frame of
-    the rear axle. over_wheels: whether the attitude is that over the plane of the wheels, by the suspension.
+    previous sample, 0 without a gyro. over_wheels: whether the attitude is that over the plane of the wheels, by the suspension. samples:
+    recent ones, for `since`. vehicle: None if unknown.
     """
 
     time_s: float
@@ -68,9 +72,19 @@ class Ego:
     speed_m_s: Tensor
     speed_s: float
     yaw_rate_rad_s: Tensor
-    pivot_x_m: float = 0.0
-    rear_x_m: float = 0.0
     over_wheels: bool = False
+    samples: Samples = ()
+    vehicle: VehicleParams | None = None
+
+    @property
+    def pivot_x_m(self) -> float:
+        """x in the ground frame of the axis of roll and pitch."""
+        return 0.0 if self.vehicle is None else self.vehicle.pivot_x_m
+
+    @property
+    def rear_x_m(self) -> float:
+        """x in the ground frame of the rear axle."""
+        return 0.0 if self.vehicle is None else self.vehicle.rear_x_m
 
     @property
     def stands(self) -> bool:
@@ -93,10 +107,14 @@ class Ego:
         height, slope = self.ground[:2]
         return self.attitude + torch.stack([height - slope * self.pivot_x_m, torch.zeros_like(slope), slope])
 
-    @property
-    def told_s(self) -> tuple[float, ...]:
-        """Times of all measurements, ascending."""
-        return tuple(sorted({time_s for time_s in (self.attitude_s, self.rates_s, self.speed_s) if not math.isnan(time_s)}))
+    def since(self, after_s: float, by_s: float = math.inf) -> Iterator["Ego"]:
+        """The motion at each time of measurement after after_s and up to by_s, ascending."""
+        known = dict[Sensor, Sample]()
+        for time_s, samples in groupby(self.samples, key=lambda each: each.measured_s):
+            known |= {each.sensor: each for each in samples}
+            ego = ego_of(tuple(known.values()), self.vehicle, time_s, self.on_s) if after_s < time_s <= by_s else None
+            if ego is not None:
+                yield ego
 
     def way(self, duration_s: float) -> Tensor:
         """Pose `[4, 4]` of the level frame after a duration at constant speed and yaw rate, in the level frame at the start.
@@ -120,14 +138,15 @@ class Ego:
 
 def ego_of(samples: Samples, vehicle: VehicleParams | None, time_s: float, period_s: float) -> Ego | None:
     """The motion at a time from samples; None without wheel speeds."""
-    if "wheels" not in samples:
+    newest = {each.sensor: each for each in samples}
+    if "wheels" not in newest:
         return None
-    wheels = samples["wheels"]
+    wheels = newest["wheels"]
     unknown = Sample("gyro", math.nan, math.nan, wheels.values.new_tensor([math.nan] * 8))
-    gyro = samples.get("gyro", unknown)
-    travel = samples.get("suspension")
-    body = samples.get("attitude", unknown if vehicle is None or travel is None else _sprung(travel, vehicle))
-    acceleration = samples.get("accelerometer", unknown).values[0].nan_to_num()
+    gyro = newest.get("gyro", unknown)
+    travel = newest.get("suspension")
+    body = newest.get("attitude", unknown if vehicle is None or travel is None else _sprung(travel, vehicle))
+    acceleration = newest.get("accelerometer", unknown).values[0].nan_to_num()
     return Ego(
         time_s,
         period_s,
@@ -139,8 +158,9 @@ def ego_of(samples: Samples, vehicle: VehicleParams | None, time_s: float, perio
         wheels.values.mean() + acceleration * (time_s - wheels.measured_s),
         wheels.measured_s,
         gyro.values[2].nan_to_num(),
-        *((0.0, 0.0) if vehicle is None else (vehicle.pivot_x_m, vehicle.rear_x_m)),
         body.sensor == "suspension",
+        samples,
+        vehicle,
     )
 
 

@@ -73,7 +73,7 @@ class Drive:
 
 @dataclass(frozen=True, eq=False)
 class Reception:
-    """Exposures of a step and the plant's response. plant: state of the plant. samples: the newest of each sensor.
+    """Exposures of a step and the plant's response. plant: state of the plant. samples: recent ones.
 
     arrivals: before the first exposure, and by the end of each. frames: arrived in this step. unpaired: these and earlier frames awaiting
     their on or off partner.
@@ -123,7 +123,7 @@ class Control:
 class SimulationState:
     """State before a step. tracks: state of the tracker, None without a detector. functions: states of the lighting functions.
 
-    plant: state of the plant. arrivals: the newest arrivals. samples: the newest of each vehicle sensor. symbols: states of the
+    plant: state of the plant. arrivals: the newest arrivals. samples: recent ones of the vehicle's sensors. symbols: states of the
     closed-loop symbols. views: estimated camera views in the ground frame of exposures awaiting frames, by number. awaiting: exposure
     pairs awaiting frames. unpaired: frames awaiting their on or off partner. commanded: last module commands by function.
     """

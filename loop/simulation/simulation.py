@@ -45,7 +45,7 @@ from luxloop.loop.simulation.result import (
 from luxloop.loop.simulation.simulated import world_plant
 from luxloop.loop.simulation.world import LitScene, World
 from luxloop.perception.camera import luminance_of, saturation_luminance
-from luxloop.perception.egomotion import Ego, Samples, ego_of, newest
+from luxloop.perception.egomotion import Ego, Samples, ego_of, recent
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.frames import View, inverse
@@ -188,7 +188,7 @@ class Simulation:
         (plant, arrivals), tracks = self.plant.start(), None if self.pipeline is None else self.pipeline.tracker.start()
         arrivals = self.sensor_arrivals(step / self.scenario.rate_hz) if step else arrivals
         symbols = {name: each.start() for name, each in self.controlled.items()}
-        return SimulationState(step, tracks, self.planner.start(), plant, arrivals, newest({}, arrivals.samples), symbols)
+        return SimulationState(step, tracks, self.planner.start(), plant, arrivals, recent((), arrivals.samples), symbols)
 
     def sensor_arrivals(self, time_s: float) -> Arrivals:
         """The newest sensor samples at a time. Raises LuxloopError unless the plant is the simulated world."""
@@ -264,7 +264,7 @@ class Simulation:
             exposures.append(Exposure(number, arrivals[-1].time_s, share / rate_hz, lights, projections, sense.now.commands))
             plant, come = self.plant.show(plant, exposures[-1])
             arrivals.append(come)
-            samples = newest(samples, come.samples)
+            samples = recent(samples, come.samples)
         frames = tuple(frame for each in arrivals[1:] for frame in each.frames)
         return Reception(plant, samples, tuple(exposures), tuple(arrivals), frames, state.unpaired + frames)
 
@@ -374,7 +374,7 @@ class Simulation:
         while self.remembers and (state.step + 1) / self.scenario.rate_hz <= time_s:
             state, _ = self.step(state)
         arrivals = replace(self.sensor_arrivals(time_s), objects=state.arrivals.objects)
-        state = replace(state, arrivals=arrivals, samples=newest({}, arrivals.samples))
+        state = replace(state, arrivals=arrivals, samples=recent((), arrivals.samples))
         sense = self._sense(state)
         lights, _ = self.lamps.drive(self._plan(state, sense).plans[0], sense.now)
         return tuple(light.u for light in lights), sense.now.commands

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop.perception.egomotion import Ego, Sample, ego_of, newest
+from luxloop.perception.egomotion import Ego, Sample, ego_of, recent
 from luxloop.perception.sensors import SensorParams, Sensors
 from luxloop.world.frames import inverse
 from luxloop.world.roads.shapes import Flat, Iso8608
@@ -27,7 +27,7 @@ def motion_of(speed: float, curvature: float = 0.0, pitch_deg: float = 0.0, dura
 def known(motion: Motion, sensors: SensorParams, time_s: float, seed: int, like: Tensor) -> Ego:
     """By samples that came one after the other in a second and a half."""
     source = Sensors(motion, sensors, PERIOD_S, seed)
-    samples = newest(newest({}, source.newest(max(time_s - ALL_S, 0.0), like)), source.arriving(max(time_s - ALL_S, 0.0), time_s, like))
+    samples = recent(source.newest(max(time_s - ALL_S, 0.0), like), source.arriving(max(time_s - ALL_S, 0.0), time_s, like))
     ego = ego_of(samples, CAR, time_s, PERIOD_S)
     assert ego is not None
     return ego
@@ -48,7 +48,7 @@ def test_exact_sensors_tell_the_truth(like):
         ego, now = look(motion, step, like), motion.at(step * PERIOD_S)
         # float32 of a few centimetres and milliradians, and of the pivot 2.2 m behind
         assert torch.allclose(ego.T_ground_body.cpu().double(), now.T_ground_body, atol=3e-7)
-        assert ego.T_ground_body.device == like.device and ego.told_s == (ego.time_s,)
+        assert ego.T_ground_body.device == like.device and ego.attitude_s == ego.rates_s == ego.speed_s == ego.time_s
         assert (float(ego.speed_m_s), float(ego.yaw_rate_rad_s)) == pytest.approx((20, 0.2))
 
 
@@ -107,12 +107,13 @@ def test_a_delay_shows_what_was_measured_before(like):
     then, other = look(motion, 28, like, **noise), look(motion, 28, like, seed=1, **noise)
     assert torch.equal(then.attitude, look(motion, 28, like, **noise).attitude) and not torch.equal(then.attitude, other.attitude)
     assert torch.equal(late.attitude, then.attitude) and torch.equal(late.speed_m_s, then.speed_m_s)
-    assert late.told_s == then.told_s and late.time_s == pytest.approx(then.time_s + 2 * PERIOD_S)
+    assert (late.attitude_s, late.rates_s, late.speed_s) == (then.attitude_s, then.rates_s, then.speed_s)
+    assert late.time_s == pytest.approx(then.time_s + 2 * PERIOD_S)
     assert look(motion, 1, like, attitude={"delay_s": 0.06}).attitude_s == 0  # the sample of time 0 is there at once
     motion = motion_of(15, pitch_deg=0.5)
     ego = look(motion, 60, like, gyro={"delay_s": 0.1})
     assert torch.equal(ego.rates[1:], look(motion, 57, like).rates[1:]) and torch.equal(ego.attitude, look(motion, 60, like).attitude)
-    assert ego.told_s == (ego.rates_s, ego.attitude_s) == pytest.approx((1.9, 2.0))
+    assert (ego.rates_s, ego.attitude_s) == pytest.approx((1.9, 2.0))
 
 
 def test_a_slow_sensor_holds_its_last_sample(like):
@@ -148,13 +149,26 @@ def test_an_accelerometer_tells_the_speed_that_wheels_tell_late(like):
     assert float(look(motion, 45, like, wheels=wheels).speed_m_s - now) == pytest.approx(0.5, abs=1e-5)
 
 
-def test_the_newest_sample_is_that_which_was_measured_last():
-    early, late = (Sample("gyro", at_s, 1.0, torch.zeros(3)) for at_s in (0.5, 0.8))
-    assert newest(newest({}, [late]), [early]) == {"gyro": late} == newest({}, [early, late])
-    assert ego_of({"gyro": late}, CAR, 1.0, PERIOD_S) is None, "nobody knows whether it moves"
-    alone = ego_of({"wheels": Sample("wheels", 0.9, 1.0, torch.tensor([9.0, 11.0]))}, None, 1.0, PERIOD_S)
-    assert alone is not None and float(alone.speed_m_s) == 10 and alone.told_s == (0.9,)
+def test_samples_are_in_the_order_of_measurement_and_the_newest_of_each_sensor_is_kept():
+    old, early, late = (Sample("gyro", at_s, 2.0, torch.zeros(3)) for at_s in (0.2, 0.5, 1.4))
+    wheels = Sample("wheels", 0.1, 0.2, torch.tensor([9.0, 11.0]))
+    assert recent(recent((), [wheels, late]), [early, old]) == (wheels, early, late) == recent((), [old, early, late, wheels])
+    assert ego_of((late,), CAR, 1.0, PERIOD_S) is None, "nobody knows whether it moves"
+    alone = ego_of((wheels,), None, 1.0, PERIOD_S)
+    assert alone is not None and float(alone.speed_m_s) == 10 and alone.speed_s == 0.1
     assert float(alone.yaw_rate_rad_s) == 0 and bool(alone.attitude.isnan().all() and alone.rates.isnan().all())
+
+
+def test_the_motion_since_a_time_is_that_of_each_measurement(like):
+    motion = motion_of(15, pitch_deg=0.5)
+    sensors = {name: {"rate_hz": 100, "delay_s": delay_s} for name, delay_s in (("wheels", 0.01), ("gyro", 0.005), ("attitude", 0.01))}
+    ego = look(motion, 30, like, **sensors)
+    since = list(ego.since(0.905, 0.99))
+    assert [each.time_s for each in since] == pytest.approx([0.91 + 0.01 * k for k in range(9)])
+    for each in since:
+        assert each.attitude_s == each.rates_s == each.time_s
+        assert float(each.attitude[2]) == pytest.approx(motion.at(each.time_s).pitch_rad, abs=1e-7)
+    assert [each.rates_s - each.attitude_s for each in ego.since(0.985)] == pytest.approx([0.0])
 
 
 def test_prediction_to_the_exposure_is_good_to_the_second_order(like):

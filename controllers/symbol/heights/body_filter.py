@@ -114,6 +114,7 @@ class BodyFilter:
     @classmethod
     def first(cls, params: BodyParams, ego: Ego, reach_m: float, symbol_x_m: float) -> "BodyFilter":
         """The estimate after the first measurements, with a road strip up to reach_m ahead."""
+        ego = next(ego.since(-math.inf))
         front, rear = 2 * ego.pivot_x_m - ego.rear_x_m, ego.rear_x_m
         start = math.floor((rear - BEHIND_M) / CELL_M) * CELL_M
         count = math.ceil((reach_m - start) / CELL_M)
@@ -125,14 +126,14 @@ class BodyFilter:
         mean[[0, 2]] = mean.new_tensor([height - slope * ego.pivot_x_m, slope])  # heave at the pivot, and pitch
         mean[BODY : BODY + count] = height - slope * (start + CELL_M * torch.arange(count, dtype=torch.float64))
         distance_m = symbol_x_m - ego.pivot_x_m
-        body = cls(params, ego.told_s[0], 0.0, float(ego.speed_m_s), start, start, slope, (front, rear), mean, covariance, distance_m)
+        body = cls(params, ego.time_s, 0.0, float(ego.speed_m_s), start, start, slope, (front, rear), mean, covariance, distance_m)
         rest = torch.eye(len(mean), dtype=torch.float64)
         rest[:3, BODY:] = body._bases(torch.zeros(1, dtype=torch.float64))[0]  # the body rests on the road: P = R P R'
         body = replace(body, covariance=rest @ covariance @ rest.T, over_wheels=ego.over_wheels)
         if body.over_wheels:  # the wheels define the level plane
             rows = torch.cat([torch.zeros(3, BODY, dtype=torch.float64), rest[:3, BODY:]], 1)
             body = body._correct(rows, mean.new_zeros(3), mean.new_tensor(WHEELS_NOISE).square())
-        return body._measure(ego).update(ego)
+        return body._measure(ego)
 
     @property
     def pivot_x_m(self) -> float:
@@ -149,16 +150,15 @@ class BodyFilter:
         """Present estimate of the apparent pitch at the last processed observation."""
         return float(self.mean[LEVEL])
 
-    def update(self, ego: Ego) -> "BodyFilter":
-        """The estimate after new measurements; measurements before time_s are ignored."""
+    def update(self, ego: Ego, by_s: float = math.inf) -> "BodyFilter":
+        """The estimate after all measurements after time_s and up to by_s."""
         body = self
-        for time_s in ego.told_s:
-            if time_s > body.time_s:
-                past = tuple(observation for observation in body.observations if observation[0] <= time_s)
-                slope_rad = float(body.ground(ego, ego.attitude_s)[1])
-                told = replace(body, speed_m_s=float(ego.speed_m_s), slope_rad=slope_rad, observations=past)
-                known = told.at_last_observation().at(time_s)._measure(ego)
-                body = replace(known, observations=body.observations[len(past) :])
+        for then in ego.since(self.time_s, by_s):
+            past = tuple(observation for observation in body.observations if observation[0] <= then.time_s)
+            slope_rad = float(body.ground(then, then.attitude_s)[1])
+            told = replace(body, speed_m_s=float(then.speed_m_s), slope_rad=slope_rad, observations=past)
+            known = told.at_last_observation().at(then.time_s)._measure(then)
+            body = replace(known, observations=body.observations[len(past) :])
         return body
 
     def with_observation(self, time_s: float, pitched_rad: float | None) -> "BodyFilter":

@@ -139,9 +139,9 @@ class HeightController:
         The road map yields the body's pitch since the previous observation, and the road ahead of the wheels.
         """
         body, then = state.body, observation.shown.ego
-        for ego in (then, observation.ego):  # process measurements newer than the observation after it
-            if ego is not None and then is not None and ego.told_s[-1] < then.time_s + ROUNDING_S:
-                body = self._filter(body, ego)
+        if then is not None:
+            for ego in (then, observation.ego):  # process measurements newer than the observation after it
+                body = self._filter(body, ego, then.time_s + ROUNDING_S)
         now = None if body is None else body.at_last_observation()
         body_poses = BodyPoses.of(observation, now, state.time_s, state.ground)
         road_map, first, sought = state.road_map, state.first, state.sought or bool(observation.measurement.code == ExtractionStatus.SEEN)
@@ -177,11 +177,12 @@ class HeightController:
             first = None if road_map.shape is None else projection
         return HeightControllerState(road_map, body_poses.time_s, projection, body, level_rad, first, sought, body_poses.ground)
 
-    def _filter(self, before: BodyFilter | None, ego: Ego | None) -> BodyFilter | None:
-        """The body filter after the measurements of the motion; unchanged without measurements or axle positions."""
+    def _filter(self, before: BodyFilter | None, ego: Ego | None, by_s: float = math.inf) -> BodyFilter | None:
+        """The body filter after the measurements up to by_s; unchanged without measurements or axle positions."""
         if ego is None or ego.pivot_x_m == ego.rear_x_m:
             return before
-        return BodyFilter.first(self.params.body, ego, self.reach_m, self.projector.params.x_m) if before is None else before.update(ego)
+        body = BodyFilter.first(self.params.body, ego, self.reach_m, self.projector.params.x_m) if before is None else before
+        return body.update(ego, by_s)
 
     def _observe(
         self, registration: Registration, road_map: RoadMap, observation: Observation, body_poses: BodyPoses, anew: bool = False

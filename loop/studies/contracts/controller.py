@@ -14,7 +14,7 @@ from luxloop.controllers.symbol.stages import KEY
 from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.protocol import Images
 from luxloop.loop.studies.contracts.values import build_part, check_tensor, pure, pure_state, world
-from luxloop.perception.egomotion import Ego, Sample, Samples, Sensor, ego_of
+from luxloop.perception.egomotion import Ego, Sample, Sensor, ego_of
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.plugin import Guard, construct
@@ -119,10 +119,11 @@ class CheckController:
 
     def _driving(self) -> dict[str, Ego | None]:
         like = self.symbol.projector.target
-        samples: Samples = {sensor: Sample(sensor, 0.05, 0.06, like.new_tensor(values)) for sensor, values in SENSED.items()}
+        samples = tuple(Sample(sensor, 0.05, 0.06, like.new_tensor(values)) for sensor, values in SENSED.items())
+        wheels = tuple(each for each in samples if each.sensor == "wheels")
         return {
             "that moves": ego_of(samples, None, 0.1, 1 / 60),
-            "of which nothing measures attitude and rates, which are NaN in ego": ego_of({"wheels": samples["wheels"]}, None, 0.1, 1 / 60),
+            "of which nothing measures attitude and rates, which are NaN in ego": ego_of(wheels, None, 0.1, 1 / 60),
         }
 
     def _step(self, state: CheckState, observation: Observation) -> CheckState:

@@ -18,7 +18,7 @@ from luxloop.controllers.symbol.heights.height_controller import HeightControlle
 from luxloop.controllers.symbol.heights.registration import Heights
 from luxloop.controllers.symbol.heights.road_map import RoadMap
 from luxloop.perception.birdseye import Region
-from luxloop.perception.egomotion import Samples, Sensor, ego_of, newest
+from luxloop.perception.egomotion import Sample, Samples, Sensor, ego_of, recent
 from luxloop.perception.sensors import SensorParams, Sensors
 from luxloop.world.frames import inverse, pose, rotation, transform
 from luxloop.world.scene.vehicle import CourseParams, SuspensionParams, VehicleParams, body_pose, drive, ground_pose
@@ -104,10 +104,15 @@ def test_the_road_tells_a_pitch_and_not_its_own_heights():
 
 def nodding(time_s: float, hz: float = 1.2, amplitude: float = math.radians(0.2)) -> Ego:
     pitch, omega = math.sin(2 * math.pi * hz * time_s), 2 * math.pi * hz
-    attitude = torch.tensor([0.0, 0.0, amplitude * pitch])
-    rates = torch.tensor([0.0, 0.0, amplitude * omega * math.cos(omega * time_s)])
-    told = (attitude, time_s, rates, time_s, torch.zeros(4), torch.tensor(10.0), time_s, torch.tensor(0.0))
-    return Ego(time_s + 1 / 30, 1 / 60, *told, -2.2, -3.6)
+    values: dict[Sensor, list[float]] = {
+        "wheels": [10.0, 10.0],
+        "gyro": [0.0, amplitude * omega * math.cos(omega * time_s), 0.0],
+        "attitude": [0.0, 0.0, amplitude * pitch, *[0.0] * 5],
+    }
+    samples = tuple(Sample(sensor, time_s, time_s, torch.tensor(each)) for sensor, each in values.items())
+    ego = ego_of(samples, VehicleParams(course=(CourseParams(speed_m_s=10.0),)), time_s + 1 / 30, 1 / 60)
+    assert ego is not None
+    return ego
 
 
 def test_a_nod_is_predicted_two_periods_ahead():
@@ -165,10 +170,10 @@ def driven(
     params = VehicleParams(course=(CourseParams(speed_m_s=speed_m_s),), suspension=SuspensionParams(**springs(suspension)))
     motion, place = drive(params, cast(Any, Long()), steps / 30 + 1), torch.tensor([17.0, 1.0, 0.0, 1.0]).double()
     sensors, like = Sensors(motion, SensorParams(fitted=fitted), 1 / 30, 0), torch.zeros(1, dtype=torch.float64)
-    samples: Samples = {}
+    samples: Samples = ()
     errors, linear, body = [], [], None
     for step in range(steps):
-        samples = newest(samples, sensors.arriving((step - 1) / 30, step / 30, like) if step else sensors.newest(0.0, like))
+        samples = recent(samples, sensors.arriving((step - 1) / 30, step / 30, like) if step else sensors.newest(0.0, like))
         ego = ego_of(samples, params, step / 30, 1 / 60)
         assert ego is not None
         body = BodyFilter.first(belief, ego, 16.0, 17.0) if body is None else body.update(ego)
