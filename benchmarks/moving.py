@@ -1,8 +1,9 @@
 """How well symbols lie on the road while the car drives: `python benchmarks/moving.py [--quick] [--out FOLDER] [--json FILE]`.
 
 Worlds drawn from a seed, and in each of them, step by step, all columns of moving.toml side by side: controllers, and what their sensors
-know. Beside them what luxloop would draw for the true road, from the body's true pose at the time of light, and for both. Goes on where an
-earlier run in the same folder was.
+know. Beside them the open loop, what luxloop would draw for the true road, for the body's true pose at the time of light, and for both, and
+what is left at the end of the symbol's light, drawn once or, with the same frames, at 240 Hz. Goes on where an earlier run in the same
+folder was.
 """
 
 import sys
@@ -21,10 +22,16 @@ from luxloop import Scenario, Simulation, build_controller, load, prepare
 from luxloop.loop.simulation.evaluator import projections_by_cause
 from luxloop.loop.simulation.result import StepResult
 from luxloop.perception.birdseye import rectify
-from luxloop.perception.metrics import THRESHOLD, evaluate
+from luxloop.perception.metrics import THRESHOLD
 
-OWN, TRUE = "luxloop", "iou_true"
-ABLATION = {"iou_true_road": "true road", "iou_true_pose": "true pose", TRUE: "both"}
+OWN, FAST, OPEN, TRUE, END = "luxloop", "luxloop, 240 Hz", "iou_open", "iou_true", "iou_end"
+ABLATION = {
+    "iou_true_road": "true road",
+    "iou_true_pose": "true pose",
+    TRUE: "both",
+    END: "at the end",
+    f"{FAST}, {END}": "at the end, 240 Hz",
+}
 Table = dict[str, Any]
 
 
@@ -59,7 +66,7 @@ def worlds(given: Namespace) -> Iterator[tuple[str, tuple[Table, Table]]]:
 
 
 def compare(base: str, changes: Table, columns: Mapping[str, Table]) -> dict[str, Any]:
-    """A job: the IoU of each column in each evaluated step, and of luxloop's ablation, with the visible share of the target."""
+    """A job: the IoU of each column in each evaluated step, of luxloop's ablation, and the visible share of the target."""
     torch.set_num_threads(1)  # wherever the job runs
     own = {name: load(base, (changes, column)) for name, column in columns.items()}
     world = prepare(own[OWN], "cpu")
@@ -69,37 +76,34 @@ def compare(base: str, changes: Table, columns: Mapping[str, Table]) -> dict[str
         found = dict(zip(own, results, strict=True))
         if found[OWN].symbol.metrics is not None:
             row = {name: result.symbol.metrics.iou.item() for name, result in found.items()}
-            rows.append(row | ablation(simulations[OWN], found[OWN]))
+            row |= {key: iou.item() for key, iou in found[OWN].symbol.causes.items() if key in (OPEN, *ABLATION)}
+            if FAST in found:
+                row[f"{FAST}, {END}"] = found[FAST].symbol.causes[END].item()
+            rows.append(row | {"visible": visible(simulations[OWN], found[OWN])})
     return {"iou": pd.DataFrame(rows).round(4).to_dict("list")}
 
 
 def _with(world: Simulation, scenario: Scenario) -> Simulation:
-    """The simulation of a world with controller and sensors of a scenario; views of the world are rendered once."""
+    """The simulation of a world with controller, sensors and drawings of a scenario; views of the world are rendered once."""
     controlled = world.with_controller(build_controller(scenario.symbol.controller, world.symbol.sensor))
-    return replace(controlled, scenario=scenario, plant=replace(world.plant, sensors=scenario.sensors))
+    plant = replace(world.plant, sensors=scenario.sensors, shares=scenario.shares, drawings=scenario.drawings[0])
+    return replace(controlled, scenario=scenario, plant=plant)
 
 
-def ablation(simulation: Simulation, result: StepResult) -> dict[str, float]:
-    """IoU of the step's symbol drawn otherwise (`projections_by_cause`), and the share of the target's cells that true drawing lights."""
+def visible(simulation: Simulation, result: StepResult) -> float:
+    """Share of the target's cells that the symbol lights if drawn for the true road from the true pose."""
     ((name, symbol),) = simulation.controlled.items()
-    world, time_s, goal = simulation.world, result.now.time_s, symbol.evaluator.goal
-    plane, belief = symbol.evaluator.plane_at(time_s), symbol.belief(result.planning.symbols[name], result.sense.ego)
-    found = {}
-    for key, drawn in projections_by_cause(symbol, belief, world.motion.at(time_s), symbol.evaluator.road).items():
-        lights = simulation.evaluator.redraw(result, name, drawn)
-        light = world.added(time_s, lights, result.exposures[-1].lights, result.now.commands)
-        found[key] = evaluate(light, plane, goal).iou.item()
-        if key == TRUE:
-            visible = (rectify(plane, light) > THRESHOLD * goal.median) & goal.mask
-            found["visible"] = (visible.sum() / goal.mask.sum()).item()
-    return found
+    evaluator, time_s, goal = symbol.evaluator, result.now.time_s, symbol.evaluator.goal
+    drawn = projections_by_cause(symbol, None, simulation.world.motion.at(time_s), evaluator.road)[TRUE]
+    light = simulation.world.added(time_s, simulation.evaluator.redraw(result, name, drawn), result.off.lights, result.now.commands)
+    return float(((rectify(evaluator.plane_at(time_s), light) > THRESHOLD * goal.median) & goal.mask).sum() / goal.mask.sum())
 
 
 def summary(given: Namespace, found: Mapping[str, Any]) -> dict[str, float]:
     """Means from `given.from_step` on; below_open: how far luxloop was below the open loop in the worst second."""
     series = pd.DataFrame(found["iou"])[given.from_step // given.judge_every :]
     second = round(load(given.base).rate_hz / given.judge_every)
-    below = (series["open"] - series[OWN]).rolling(min(second, len(series))).mean().max()
+    below = (series[OPEN] - series[OWN]).rolling(min(second, len(series))).mean().max()
     return {**series.mean().to_dict(), "below_open": float(below)}
 
 
@@ -122,14 +126,14 @@ def goals(given: Namespace, rows: pd.DataFrame) -> list[Goal]:
 def measure(given: Namespace) -> dict[str, Any]:
     if wrong := set(given.only) - given.columns.keys():
         sys.exit(f"--only: unknown {', '.join(wrong)}; known are {', '.join(given.columns)}")
-    columns = {name: table for name, table in given.columns.items() if name in {"open", OWN, *(given.only or given.columns)}}
+    columns = {name: table for name, table in given.columns.items() if name in {OWN, *(given.only or given.columns)}}
     all_worlds = dict(worlds(given))
     jobs = {key: {"base": given.base, "changes": changes, "columns": columns} for key, (_, changes) in all_worlds.items()}
     found, failures = study(compare, jobs, given, [sys.modules[__name__]], load(given.base).digest)
     rows = pd.DataFrame([{"world": key, **all_worlds[key][0], **summary(given, each)} for key, each in found.items()])
-    shown = [*columns, *ABLATION, "visible"]
+    shown = [OPEN, *columns, *(key for key in ABLATION if key in rows), "visible"]
     for field in given.fields:
-        show(f"Mean IoU by {field}", rows.groupby(field)[shown].mean().rename(columns=ABLATION).to_dict("index"))
+        show(f"Mean IoU by {field}", rows.groupby(field)[shown].mean().rename(columns={OPEN: "open", **ABLATION}).to_dict("index"))
     return {"rows": rows.to_dict("records"), "goals": goals(given, rows), "failures": failures}
 
 

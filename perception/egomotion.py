@@ -107,14 +107,13 @@ class Ego:
         height, slope = self.ground[:2]
         return self.attitude + torch.stack([height - slope * self.pivot_x_m, torch.zeros_like(slope), slope])
 
-    def since(self, after_s: float, by_s: float = math.inf) -> Iterator["Ego"]:
-        """The motion at each time of measurement after after_s and up to by_s, ascending."""
+    def since(self, after_s: float, by_s: float = math.inf) -> Iterator[tuple[float, Samples]]:
+        """Times of measurement after after_s and up to by_s, ascending, each with the newest sample of each sensor."""
         known = dict[Sensor, Sample]()
         for time_s, samples in groupby(self.samples, key=lambda each: each.measured_s):
             known |= {each.sensor: each for each in samples}
-            ego = ego_of(tuple(known.values()), self.vehicle, time_s, self.on_s) if after_s < time_s <= by_s else None
-            if ego is not None:
-                yield ego
+            if after_s < time_s <= by_s:
+                yield time_s, tuple(known.values())
 
     def way(self, duration_s: float) -> Tensor:
         """Pose `[4, 4]` of the level frame after a duration at constant speed and yaw rate, in the level frame at the start.
@@ -136,8 +135,8 @@ class Ego:
         return replace(self, attitude=self.attitude + after_s * over.nan_to_num(), ground=ground, attitude_s=time_s)
 
 
-def ego_of(samples: Samples, vehicle: VehicleParams | None, time_s: float, period_s: float) -> Ego | None:
-    """The motion at a time from samples; None without wheel speeds."""
+def ego_of(samples: Samples, vehicle: VehicleParams | None, time_s: float, on_s: float = 0.0) -> Ego | None:
+    """The motion at a time from samples; None without wheel speeds. on_s: duration of the next exposure with symbols."""
     newest = {each.sensor: each for each in samples}
     if "wheels" not in newest:
         return None
@@ -149,7 +148,7 @@ def ego_of(samples: Samples, vehicle: VehicleParams | None, time_s: float, perio
     acceleration = newest.get("accelerometer", unknown).values[0].nan_to_num()
     return Ego(
         time_s,
-        period_s,
+        on_s,
         body.values[:3],
         body.measured_s,
         torch.cat([body.values[3:4], gyro.values[:2]]),

@@ -38,6 +38,8 @@ def run_on_rig(
     from luxloop.loop.simulation.lamps import lamp_modules
 
     file, armed, allow_code = rig_file
+    if scenario.headlight.rate_hz is not None:
+        raise LuxloopError("headlight.rate_hz: a rig takes a frame of each exposure; leave it out")
     params = read_rig(file, allow_code)
     without = [name for name, each in scenario.checks.items() if of_truth(each.metric) or each.compare is not None]
     checks = {name: each for name, each in scenario.checks.items() if name not in without}

@@ -29,6 +29,7 @@ DRAWN = {  # columns of `judge_causes`
     "iou_true_pose": "for the true pose",
     "iou_true_road": "for the true road",
     "iou_true": "for both",
+    "iou_end": "at the end of its light",
 }
 
 

@@ -230,8 +230,7 @@ def _outline(picture: Picture, seen: Measurement) -> None:
 def _from_above(result: Evaluation, simulation: Simulation, evaluator: SymbolEvaluator, white: Tensor, height: int) -> Picture:
     """The road around a symbol's target from above, far end on top, with the outline of the target. height: px."""
     symbol, axes = evaluator.symbol, evaluator.plane.axes
-    on, off = (result.exposures[k].lights for k in (0, -1))
-    light = simulation.world.added(result.time_s, on, off, result.now.commands)
+    light = simulation.world.added(result.time_s, result.exposures[0].lights, result.off.lights, result.now.commands)
     rows = (axes.v + symbol.x_m).abs() <= CLOSE * symbol.length_m
     cols = (axes.u + symbol.y_m).abs() <= CLOSE * symbol.width_m
     plane = rectify(evaluator.plane_at(result.time_s), light)[rows.to(light.device)][:, cols.to(light.device)]

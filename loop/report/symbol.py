@@ -40,7 +40,7 @@ TARGET, PATH, LOST = "#00c8ff", "#ff2020", "#d55e00"
 HIGH_IN = 9.4  # height of a symbol's part of a page
 NOTE = 175  # characters of a line as wide as the page
 WHY = 40  # characters of a line in a chart
-OTHERWISE = (("black", "--"), (FOUR[2], "-"), (FOUR[3], "-"), ("0.5", "-"))  # colour and line of each curve of `DRAWN`
+OTHERWISE = (("black", "--"), (FOUR[2], "-"), (FOUR[3], "-"), ("0.5", "-"), ("black", ":"))  # colour and line of each curve of `DRAWN`
 FEW_STEPS = 60  # steps up to which curves have markers
 LEAST_M, LEAST_DEG = 0.01, 0.1  # least range of the axes of poses to both sides
 
@@ -53,7 +53,7 @@ def draw_symbol(figure: SubFigure, simulation: Simulation, history: SymbolHistor
     symbol, last = simulation.controlled[history.name], history.last
     lights = {
         "without control (open loop)": open_loop_lights(simulation, last, history.name),
-        "at the end": (last.exposures[0].lights, last.exposures[-1].lights),
+        "at the end": (last.exposures[0].lights, last.off.lights),
     }
     shadow = shadow_of(simulation.scenario.plant)
     page_title(figure, *_title(simulation, history.name, summary, shadow), size=11)

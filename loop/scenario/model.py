@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -60,6 +61,9 @@ class HeadlightParams(Params):
     )
     standby_w: NotNegative = Field(5.0, description="electrical power of a dark lamp: electronics and fan")
     efficacy_lm_w: float = Field(40.0, gt=0, le=1000, description="luminous flux of a lamp per electrical power of its light sources")
+    rate_hz: float | None = Field(
+        None, gt=0, le=1000, description="rate at which the lamps draw anew, for the newest measured motion; left out: once a control step"
+    )
 
     @field_validator("lamps", "modules")
     @classmethod
@@ -232,9 +236,20 @@ class Scenario(Params):
         return self.symbols[only(self.symbols)]
 
     @property
-    def shares(self) -> tuple[float, ...]:
-        """Shares of a control step, one an exposure: with symbols under control and without them, or the whole."""
+    def frame_shares(self) -> tuple[float, ...]:
+        """Shares of a control step, one a frame: with symbols under control and without them, or the whole."""
         return (1 - self.off_share, self.off_share) if self.symbols else (1.0,)
+
+    @property
+    def drawings(self) -> tuple[int, ...]:
+        """Number of exposures, one a frame; the first of each is in the frame, the others are drawn at `headlight.rate_hz`."""
+        per_step = (self.headlight.rate_hz or 0.0) / self.rate_hz
+        return tuple(max(math.ceil(round(share * per_step, 9)), 1) for share in self.frame_shares)
+
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """Shares of a control step, one an exposure."""
+        return tuple(share / n for share, n in zip(self.frame_shares, self.drawings, strict=True) for _ in range(n))
 
     @property
     def lights(self) -> tuple[Baseline, ...]:
@@ -273,8 +288,17 @@ def _exposures(scenario: Scenario) -> Iterator[str]:
     """Contradictions between exposures and the control period, which has an on and an off frame with symbols under control, else an on
     frame.
     """
+    exposure_s, light_hz = scenario.camera.exposure_s, scenario.headlight.rate_hz
+    if light_hz is not None and sum(scenario.drawings) == len(scenario.frame_shares):
+        least_hz = scenario.rate_hz / max(scenario.frame_shares)
+        yield f"headlight.rate_hz: the lamps draw anew for each frame, at {least_hz:g} Hz; give more, or leave it out"
+    elif light_hz is not None and exposure_s > 1 / light_hz:
+        yield (
+            f"camera.exposure_s: the lamps draw anew at {light_hz:g} Hz, during an exposure of {exposure_s:g} s; "
+            f"give at most {1 / light_hz:.4g} s, or lower headlight.rate_hz"
+        )
     if scenario.symbols:
-        exposure_s, share, rate_hz = scenario.camera.exposure_s, min(scenario.off_share, 1 - scenario.off_share), scenario.rate_hz
+        share, rate_hz = min(scenario.frame_shares), scenario.rate_hz
         if exposure_s > share / rate_hz:
             part, nearer = ("half", "") if scenario.off_share == 0.5 else (f"{share:.3g} of", ", or set off_share nearer to 0.5")
             yield (

@@ -97,6 +97,10 @@ def _plant(scenario: Scenario, modules: Modules) -> Sentences:
             f"modules.{scenario.digitised_module}.source: a digitised beam lights the simulated world, but the plant is {plant.kind}; "
             'set plant.kind = "simulated"'
         )
+    if scenario.headlight.rate_hz is not None and (
+        scenario.digitised_module or not isinstance(plant, SimulatedPlantParams | RecordedPlantParams)
+    ):
+        yield "headlight.rate_hz: only the simulated world shows more exposures than frames; leave it out"
     if error.z_m and (z_m := scenario.camera.z_m + error.z_m) <= 0:
         yield f"disturbances.calibration.z_m: the camera is at {z_m:.3g} m, not above the road; lower it less"
 

@@ -62,6 +62,7 @@ CAUSES = {
     "iou_true_pose": ("1", "evaluator: IoU of the symbol drawn for the body's true pose; empty if the controller has no height map"),
     "iou_true_road": ("1", "evaluator: IoU of the symbol drawn for the true road; empty if the controller has no height map"),
     "iou_true": ("1", "evaluator: IoU of the symbol drawn for the true road from the true pose, the best that the lamp can show"),
+    "iou_end": ("1", "evaluator: IoU of the shown symbol at the end of its light; empty if the vehicle stands"),
     **dict.fromkeys(MOTION, ("%", "evaluator: centroid error less that of the symbol drawn for the body's true pose")),
 }
 

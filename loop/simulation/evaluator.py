@@ -293,7 +293,7 @@ class Evaluator:
         lights = mean_lights(result, self.scenario.shares)
         for name, symbol in self.scenario.projections.items():
             if planning.drawn.get(name) or name in planning.projections:
-                off = result.exposures[-1].lights if planning.measured == (name,) else self._lights_without(result, name)
+                off = result.off.lights if planning.measured == (name,) else self._lights_without(result, name)
                 image = animate(self.planner.symbols[symbol.image], symbol.animation, now.time_s - (symbol.start_s or 0.0))
                 found[name] = projection_metrics(self.world, self._path, symbol, image, now.time_s, lights, off, now.commands)
         return found
@@ -381,7 +381,7 @@ class Evaluator:
             return {}
         evaluator, world, belief = symbol.evaluator, self.world, symbol.belief(result.planning.symbols[name], result.sense.ego)
         assert evaluator is not None and world is not None
-        off = result.exposures[-1].lights if len(measured) == 1 else self._lights_without(result, name)
+        off = result.off.lights if len(measured) == 1 else self._lights_without(result, name)
         plane, causes = evaluator.plane_at(now.time_s), dict[str, Tensor]()
 
         def metrics(lights: Lights) -> Metrics:
@@ -392,6 +392,11 @@ class Evaluator:
             projections = projections_by_cause(symbol, belief, world.motion.at(now.time_s), evaluator.road)
             drawn = {key: metrics(self.redraw(result, name, each)) for key, each in projections.items()}
             causes = {key: each.iou for key, each in drawn.items()}
+            if world.motion is not STANDING:
+                last = result.exposures[self.scenario.drawings[0] - 1]
+                end_s = last.start_s + last.duration_s
+                end = evaluate(world.added(end_s, last.lights, off, last.commands), evaluator.plane_at(end_s), evaluator.goal)
+                causes["iou_end"] = end.iou
             if (true_pose := drawn.get("iou_true_pose")) is not None:
                 causes |= zip(MOTION, shown.centroid_percent - true_pose.centroid_percent, strict=True)
         return {

@@ -270,7 +270,7 @@ def recorded_plant(scenario: Scenario, params: RecordedPlantParams, modules: Seq
     folder, per_step, rows = Path(params.folder), len(scenario.shares), recorded_rows(Path(params.folder))
     pixels, like = tuple(module.headlight.n_pixels for module in modules), modules[0].headlight.matrix.values
     if len(rows) > per_step:
-        lights = [read_light(inside(light_file(folder, row["light"]), folder), pixels, like.device) for row in rows[:per_step]]
+        lights = [read_light(inside(light_file(folder, row["light"]), folder), pixels, like.device) for row in (rows[0], rows[-2])]
         if scenario.symbols and not (held := lights[0][1].keys() - lights[-1][1].keys()) & set(scenario.symbols):
             shown = ", ".join(sorted(held)) or "none"
             raise LuxloopError(

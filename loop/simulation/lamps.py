@@ -149,9 +149,7 @@ class LampPower:
 
 
 def mean_powers(powers: Sequence[Mapping[str, LampPower]], shares: Sequence[float]) -> Mapping[str, LampPower]:
-    """Time means over exposures by lamp side, with the smallest factor and largest peak. A single entry counts for the whole step."""
-    if len(powers) == 1:
-        return powers[0]
+    """Time means over exposures by lamp side, with the smallest factor and largest peak."""
 
     def of(lamps: Sequence[LampPower]) -> LampPower:
         mean = {key: sum(s * getattr(each, key) for s, each in zip(shares, lamps, strict=True)) for key in ("flux_lm", "share", "watts")}

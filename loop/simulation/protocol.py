@@ -22,7 +22,7 @@ class Exposure:
 
     number: ascending and unique. start_s, duration_s: start and duration of the light in s. lights: utilisations, one a module, base
     beams included. projections: closed-loop symbols in these lights, by name; a plant ignores them. commands: turn and dimming of each
-    module; empty if all are at rest.
+    module; empty if all are at rest. frame: whether the camera takes a frame.
     """
 
     number: int
@@ -31,6 +31,7 @@ class Exposure:
     lights: tuple[Utilisation, ...]
     projections: Mapping[str, ProjectionCommand] = field(default_factory=dict)
     commands: Commands = ()
+    frame: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +139,7 @@ def pair_frames(
     without frames and stays in the awaiting pairs.
     """
     came = {frame.number: frame for frame in frames}
-    numbers = [(pair.on.number, pair.on.number + 1) for pair in awaiting]
+    numbers = [(pair.on.number, pair.off.number) for pair in awaiting]
     done = max((k + 1 for k, (on, off) in enumerate(numbers) if on in came and off in came), default=0)
     pairs = [pair.seen_in(came.get(on, LOST), came.get(off, LOST)) for pair, (on, off) in zip(awaiting[:done], numbers, strict=False)]
     left = tuple(awaiting[done:])

@@ -25,6 +25,7 @@ from luxloop.perception.detection.detector import Detections
 from luxloop.perception.egomotion import Ego, Samples
 from luxloop.world.caches import Part, PartialImage
 from luxloop.world.frames import View
+from luxloop.world.headlight.lamp import Commands
 
 OUTSIDE = ("plant", "look")  # parts of a step that run outside a car
 
@@ -64,10 +65,11 @@ class StepPlan:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Lamp drive of a step. exposures: utilisations of each. projections: symbols in each. powers: step means by lamp side."""
+    """Lamp drive of an exposure. projections: symbols in the lights. powers: by lamp side."""
 
-    exposures: tuple[Lights, ...]
-    projections: tuple[Projections, ...]
+    lights: Lights
+    projections: Projections
+    commands: Commands
     powers: Mapping[str, LampPower]
 
 
@@ -75,14 +77,15 @@ class Drive:
 class Reception:
     """Exposures of a step and the plant's response. plant: state of the plant. samples: recent ones.
 
-    arrivals: before the first exposure, and by the end of each. frames: arrived in this step. unpaired: these and earlier frames awaiting
-    their on or off partner.
+    arrivals: before the first exposure, and by the end of each. powers: step means by lamp side. frames: arrived in this step. unpaired:
+    these and earlier frames awaiting their on or off partner.
     """
 
     plant: Any
     samples: Samples
     exposures: tuple[Exposure, ...]
     arrivals: tuple[Arrivals, ...]
+    powers: Mapping[str, LampPower]
     frames: tuple[Frame, ...]
     unpaired: tuple[Frame, ...]
 
@@ -145,7 +148,7 @@ class SimulationState:
 class StepResult:
     """Result of a step, by act.
 
-    lights: utilisations `[n_p]` of the first exposure, one a module. powers: by lamp side. timings: wall-clock ms by part. processing_ms:
+    lights: utilisations `[n_p]` of the first exposure, one a module. timings: wall-clock ms by part. processing_ms:
     see `Clock`. Metrics that need the truth are in `luxloop.loop.simulation.evaluator.Evaluation`.
     """
 
@@ -153,7 +156,6 @@ class StepResult:
     sense: Sense
     planning: StepPlan
     lights: tuple[Tensor, ...]
-    powers: Mapping[str, LampPower]
     reception: Reception
     perception: Perception
     control: Control
@@ -179,6 +181,16 @@ class StepResult:
     def exposures(self) -> tuple[Exposure, ...]:
         """Exposures of the step, in order."""
         return self.reception.exposures
+
+    @property
+    def powers(self) -> Mapping[str, LampPower]:
+        """Means over the step by lamp side."""
+        return self.reception.powers
+
+    @property
+    def off(self) -> Exposure:
+        """The exposure of the last frame, without the measured symbols."""
+        return [each for each in self.exposures if each.frame][-1]
 
     @property
     def frame(self) -> Tensor | None:

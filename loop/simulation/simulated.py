@@ -84,7 +84,7 @@ UnderWay = tuple[tuple[int, Frame], ...]  # (number of the exposure at whose end
 class SimulatedPlant:
     """Exposes frames of a world. State: queue of frames in transit from the camera.
 
-    shares: durations of the exposures as shares of a control step.
+    shares: durations of the exposures as shares of a control step. drawings: number of exposures with an on frame.
     """
 
     world: World
@@ -93,6 +93,7 @@ class SimulatedPlant:
     sensors: SensorParams = EXACT
     disturbances: DisturbanceParams = UNDISTURBED
     shares: tuple[float, ...] = (0.5, 0.5)
+    drawings: int = 1
 
     @property
     def period_s(self) -> float:
@@ -114,13 +115,15 @@ class SimulatedPlant:
         return (), Arrivals(0.0, samples=self.samples(0.0))
 
     def show(self, state: UnderWay, exposure: Exposure) -> tuple[UnderWay, Arrivals]:
-        """Expose a frame, which arrives after the camera's latency and in order."""
+        """Show an exposure; its frame, if any, arrives after the camera's latency and in order."""
         per_step = len(self.shares)
         step, part = divmod(exposure.number, per_step)
         begins_s, ends_s = (self._at(number) for number in (exposure.number, exposure.number + 1))
-        image = None if self.loses(step) else self._frame(exposure, step, part)
-        due = max([exposure.number + per_step * self._latency(step), *(number for number, _ in state)])
-        queue = (*state, (due, Frame(exposure.number, exposure.start_s, ends_s, image)))
+        queue = state
+        if exposure.frame:
+            image = None if self.loses(step) else self._frame(exposure, step, int(part > 0))
+            due = max([exposure.number + per_step * self._latency(step), *(number for number, _ in state)])
+            queue = (*state, (due, Frame(exposure.number, exposure.start_s, ends_s, image)))
         come = tuple(replace(frame, arrived_s=ends_s) for number, frame in queue if number <= exposure.number)
         return queue[len(come) :], Arrivals(ends_s, come, self.samples(ends_s, begins_s))
 
@@ -151,7 +154,7 @@ class SimulatedPlant:
         ambient, noisy = self.disturbances.ambient_factor(step, frame), self.disturbances.noise_factor(step)
         if ambient != 1:
             luminance = luminance + (ambient - 1) * base
-        t_s = self._at(len(self.shares) * step + frame)
+        t_s = self._at(len(self.shares) * step + frame * self.drawings)
         for lamp in self.disturbances.oncoming_in(step, frame):
             luminance = luminance + glare(self.world.view_at(t_s).within(*part), lamp.position_at(t_s), lamp, device)
         noise = FrameNoise.of(self.seed, step, frame).part(part, luminance) if camera.noise else None
@@ -186,7 +189,7 @@ def simulated_plant(scenario: Scenario, modules: Sequence[LampModule], cache: Pa
     source = cache("face source", lambda name: FirstFound() if name == "auto" else face_source(name), scenario.renderer)
     true = cache("true modules", true_modules, tuple(modules), errors.aim, errors.wear)
     world = _world(cache, scene, true, true_camera(scenario), source, motion, scenario.meters_light, scenario.all_objects)
-    return SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, errors, scenario.shares)
+    return SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, errors, scenario.shares, scenario.drawings[0])
 
 
 def driven_plant(plant: SimulatedPlant, scenario: Scenario, cache: PartCache) -> SimulatedPlant:

@@ -1,7 +1,7 @@
 """The control loop in steps of five acts: sense, plan, drive, expose, control."""
 
 import math
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Collection, Generator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -137,7 +137,7 @@ class Simulation:
             modules = tuple(module.showing(beam) for module in self.modules)
         alone = self.scenario.lighting.model_copy(update={"base": BaseBeamParams(beam=beam), "raw": (), "painted": ()})
         scenario = self.scenario.model_copy(update={"lighting": alone, "functions": {}})
-        plant = replace(plant, shares=scenario.shares)
+        plant = replace(plant, shares=scenario.shares, drawings=scenario.drawings[0])
         return replace(self, scenario=scenario, planner=Planner.prepare({}, alone), modules=modules, plant=plant, controlled={})
 
     @cached_property
@@ -196,7 +196,7 @@ class Simulation:
 
     def ego(self, samples: Samples, time_s: float) -> Ego | None:
         """Estimated motion of the car at a time, None without wheel speeds."""
-        return ego_of(samples, self.scenario.vehicle, time_s, self.scenario.shares[0] / self.scenario.rate_hz)
+        return ego_of(samples, self.scenario.vehicle, time_s, self.scenario.frame_shares[0] / self.scenario.rate_hz)
 
     def step(self, state: SimulationState) -> tuple[SimulationState, StepResult]:
         """One step: sense, plan, drive, expose, control.
@@ -208,15 +208,15 @@ class Simulation:
         sense = self._sense(state)
         planning = self._plan(state, sense)
         clock.lap("plan")
-        drive = self._drive(planning, sense)
+        drives = self._drive(planning, sense)
         clock.lap("light")
-        reception = self._expose(state, drive, sense)
+        reception = self._expose(state, planning, drives, clock)
         clock.lap("plant")
         clock.watch(reception.unpaired)
         perception, control = self._control(state, sense, planning, reception, clock)
-        lights = tuple(light.u for light in drive.exposures[0])
+        lights = tuple(light.u for light in drives[0].lights)
         timing = clock.ms, clock.processing_ms
-        result = StepResult(state.step, sense, planning, lights, drive.powers, reception, perception, control, *timing)
+        result = StepResult(state.step, sense, planning, lights, reception, perception, control, *timing)
         return self._following(result), result
 
     def _sense(self, state: SimulationState) -> Sense:
@@ -237,36 +237,52 @@ class Simulation:
 
     def _plan(self, state: SimulationState, sense: Sense) -> StepPlan:
         """Light plans from functions and controllers: with all symbols, and without the symbols measured in this step."""
-        projections, drawn = self._primitives(state, sense.now, sense.ego)
+        projections, drawn = self._primitives(state, sense)
         measured = choose_measured(self.controlled, state.symbols, projections)
         plans = [self.planner.compose(sense.now, state.functions, drawn)]
         if measured:
             plans.append(self.planner.compose(sense.now, state.functions, without(drawn, measured)))
         return StepPlan(state.functions, state.symbols, projections, drawn, measured, tuple(plans))
 
-    def _drive(self, planning: StepPlan, sense: Sense) -> Drive:
-        """Utilisations and symbols of each exposure."""
-        first, now, shares = planning.plans[0], sense.now, self.scenario.shares
-        drives = [self.lamps.drive(first, now)]
-        drives += [self.lamps.drive(each, now, (first, drives[0][0])) for each in planning.plans[1:]]
-        exposures = [lights for lights, _ in drives] * (len(shares) // len(drives))
-        exposures[0] = self._raw(exposures[0], planning.projections)
-        others = {name: each for name, each in planning.projections.items() if name not in planning.measured}
-        projections = (planning.projections, *[others] * (len(shares) - 1))
-        return Drive(tuple(exposures), projections, mean_powers([powers for _, powers in drives], shares))
+    def _drive(self, planning: StepPlan, sense: Sense) -> tuple[Drive, ...]:
+        """Lamp drive for the on frame, and for the off frame."""
+        (first, *others), now = planning.plans, sense.now
+        shown = self.lamps.drive(first, now)
+        lights, powers = self.lamps.drive(others[0], now, (first, shown[0])) if others else shown
+        left = {name: each for name, each in planning.projections.items() if name not in planning.measured}
+        return (
+            Drive(self._raw(shown[0], planning.projections), planning.projections, now.commands, shown[1]),
+            Drive(lights, left, now.commands, powers),
+        )
 
-    def _expose(self, state: SimulationState, drive: Drive, sense: Sense) -> Reception:
+    def _redraw(self, state: SimulationState, without_symbols: Collection[str]) -> Drive:
+        """Lamp drive by the newest samples."""
+        sense = self._sense(state)
+        projections, drawn = self._primitives(state, sense, without_symbols)
+        lights, powers = self.lamps.drive(self.planner.compose(sense.now, state.functions, drawn), sense.now)
+        return Drive(self._raw(lights, projections), projections, sense.now.commands, powers)
+
+    def _expose(self, state: SimulationState, planning: StepPlan, drives: Sequence[Drive], clock: Clock) -> Reception:
         """Show the exposures on the plant and collect arrivals."""
-        plant, samples, arrivals, exposures = state.plant, state.samples, [state.arrivals], list[Exposure]()
-        shares, rate_hz = self.scenario.shares, self.scenario.rate_hz
-        for part, (share, lights, projections) in enumerate(zip(shares, drive.exposures, drive.projections, strict=True)):
-            number = len(shares) * state.step + part
-            exposures.append(Exposure(number, arrivals[-1].time_s, share / rate_hz, lights, projections, sense.now.commands))
+        plant, samples, arrivals, shown, exposures = state.plant, state.samples, [state.arrivals], list[Drive](), list[Exposure]()
+        shares, rate_hz, on = self.scenario.shares, self.scenario.rate_hz, self.scenario.drawings[0]
+        for part, share in enumerate(shares):
+            drive = drives[part >= on]
+            if part and self.scenario.headlight.rate_hz is not None:
+                clock.lap("plant")
+                now = replace(state, arrivals=arrivals[-1], samples=samples)
+                drive = self._redraw(now, planning.measured if part >= on else ())
+                clock.lap("light")
+            number, start_s = len(shares) * state.step + part, arrivals[-1].time_s
+            light = drive.lights, drive.projections, drive.commands
+            exposures.append(Exposure(number, start_s, share / rate_hz, *light, frame=part in (0, on)))
+            shown.append(drive)
             plant, come = self.plant.show(plant, exposures[-1])
             arrivals.append(come)
             samples = recent(samples, come.samples)
         frames = tuple(frame for each in arrivals[1:] for frame in each.frames)
-        return Reception(plant, samples, tuple(exposures), tuple(arrivals), frames, state.unpaired + frames)
+        powers = mean_powers([each.powers for each in shown], shares)
+        return Reception(plant, samples, tuple(exposures), tuple(arrivals), powers, frames, state.unpaired + frames)
 
     def _control(
         self, state: SimulationState, sense: Sense, planning: StepPlan, reception: Reception, clock: Clock
@@ -281,7 +297,8 @@ class Simulation:
     def _perceive(self, state: SimulationState, sense: Sense, reception: Reception) -> Perception:
         """Run detector, tracker and learning functions on the arrived frames."""
         per_step = len(self.scenario.shares)
-        watched = {"on": (0,), "off": (per_step - 1,), "both": range(per_step)}[self.scenario.detector_frames]
+        taken = (0, *self.scenario.drawings[:-1])
+        watched = {"on": taken[:1], "off": taken[-1:], "both": taken}[self.scenario.detector_frames]
         if state.step % self.scenario.detector_every:
             watched = ()
         views = {**state.views, **{per_step * state.step + part: sense.view for part in watched}}
@@ -310,7 +327,8 @@ class Simulation:
     def _measure(self, state: SimulationState, sense: Sense, planning: StepPlan, reception: Reception) -> Control:
         """Measure the arrived frame pairs and step the symbol controllers."""
         alone = len(planning.projections) == 1 and len(self.planner.functions) == 1 and self.scenario.lighting.power_limit is None
-        shown = ExposurePair(reception.exposures[0], reception.exposures[-1], sense.ego, alone)
+        on, *others = (each for each in reception.exposures if each.frame)
+        shown = ExposurePair(on, others[-1] if others else on, sense.ego, alone)
         pairs, awaiting, unpaired = pair_frames((*state.awaiting, shown), reception.unpaired) if self.controlled else ([], (), ())
         newer = self.ego(reception.samples, reception.arrivals[-1].time_s)
         symbols = {name: replace(each, turn=state.step) if name in planning.measured else each for name, each in state.symbols.items()}
@@ -354,9 +372,12 @@ class Simulation:
                     shown[k] = self.planner.paint(self.modules[k].name, Utilisation(u))
         return tuple(shown)
 
-    def _primitives(self, state: SimulationState, now: Situation, ego: Ego | None) -> tuple[dict[str, ProjectionCommand], Parts]:
+    def _primitives(
+        self, state: SimulationState, sense: Sense, without_symbols: Collection[str] = ()
+    ) -> tuple[dict[str, ProjectionCommand], Parts]:
         """Projection commands of the symbols shown now, and primitives of all functions."""
-        shown = {name: each for name, each in self.controlled.items() if each.function.shows(now)}
+        now, ego = sense.now, sense.ego
+        shown = {name: each for name, each in self.controlled.items() if name not in without_symbols and each.function.shows(now)}
         projections = {name: each.controller.projection(state.symbols[name].controller, ego) for name, each in shown.items()}
         commands = {}
         for name, projection in projections.items():

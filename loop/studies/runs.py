@@ -323,10 +323,10 @@ def _results(copies: Copies, first: Evaluation, steps: Sequence[_Step], k: int) 
         on = [*resting]
         for module, drawn in zip(copies.symbol.drawn_by, each.sums[k].tolist(), strict=True):
             on[module] = drawn
-        powers = mean_powers([_powers(simulation, lights) for lights in (on, resting)], simulation.scenario.shares)
+        powers = mean_powers([_powers(simulation, lights) for lights in (on, resting)], simulation.scenario.frame_shares)
         time_s = number / simulation.scenario.rate_hz
         sense = replace(first.sense, now=simulation.situation(time_s))
-        result = replace(first, step=number, sense=sense, held={name: held}, powers=powers)
+        result = replace(first, step=number, sense=sense, held={name: held}, reception=replace(first.reception, powers=powers))
         yield result, sum(u for _, u in on) / pixels
 
 

@@ -187,7 +187,7 @@ class Run:
         lights = [self.simulation.planner.paint(each.name, *below) for each, below in zip(simulation.modules, self._below, strict=True)]
         factors = {side: power.factor for side, power in result.powers.items()}
         powers = simulation.lamps.powers(simulation.lamps.aim(result.now), lights, factors)
-        return replace(result, lights=tuple(each.u for each in lights), powers=powers)
+        return replace(result, lights=tuple(each.u for each in lights), reception=replace(result.reception, powers=powers))
 
     def _take_snapshot(self, simulation: Simulation, result: Evaluation, before: Snapshot | None, wanted: Collection[View]) -> Snapshot:
         self.bodies = bodies_at(simulation, result.time_s, self.bodies)

@@ -56,7 +56,7 @@ def move_is_bounded(found: Found) -> bool:
 def moving_is_ablated(found: Found) -> bool:
     """The road is not flat, and none of the other drawings is better than the true one but for half a row of the camera, see above."""
     (row,) = found["rows"]
-    return row["open"] < row["iou_true"] and row["iou_true"] > row["luxloop"] - 0.08 and 0 < row["visible"] <= 1
+    return row["iou_open"] < row["iou_true"] and row["iou_true"] > row["luxloop"] - 0.08 and 0 < row["visible"] <= 1
 
 
 def shadows_are_found(found: Found) -> bool:

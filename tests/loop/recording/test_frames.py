@@ -51,7 +51,10 @@ def same(given: tuple[Sample, ...], others: tuple[Sample, ...]) -> bool:
     return told(given) == told(others)
 
 
-@pytest.mark.parametrize("changes", [{"steps": 4}, pytest.param(DRIVES, marks=pytest.mark.slow)], ids=["stands", "drives"])
+DRAWS = {"steps": 3, "headlight": SMALL["headlight"] | {"rate_hz": 120}, "camera": SMALL["camera"] | {"exposure_s": 0.004}}
+
+
+@pytest.mark.parametrize("changes", [{"steps": 4}, pytest.param(DRIVES, marks=pytest.mark.slow), DRAWS], ids=["stands", "drives", "draws"])
 def test_all_that_was_shown_and_came_is_kept_bit_for_bit(changes, tmp_path):
     simulation = Simulation.prepare(validate({**SMALL, **changes}, "small"))
     with Recorder(tmp_path, simulation, frames=True) as recorder:

@@ -183,6 +183,8 @@ def test_a_class_with_a_dot_for_its_colon_is_told_how_to_be_written():
         ("obl", "detector_frames=off", "detector_frames: there is no symbol that a controller holds here"),
         ("obl", "off_share=0.3", "off_share: no controller holds a symbol here; leave it out"),
         ("obl", "disturbances.ambient=[{factor=2.0, frames='off'}]", "disturbances.ambient[0].frames: without a held symbol"),
+        ("snowflake", "headlight.rate_hz=60", "headlight.rate_hz: the lamps draw anew for each frame, at 60 Hz"),
+        ("driving", "headlight.rate_hz=250", "camera.exposure_s: the lamps draw anew at 250 Hz"),
         ("snowflake", "tracker.confirm_frames=5", "tracker: follows what a detector finds, but there is none"),
         ("night_traffic", "detector.kind=hog", "a detector knows only their class; --set functions.guide_line.names=[]"),
     ],
