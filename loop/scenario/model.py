@@ -60,7 +60,13 @@ class HeadlightParams(Params):
         0.0, ge=-10, le=10, description="rest position, down: of modules within their range of levelling, else of the lamp"
     )
     standby_w: NotNegative = Field(5.0, description="electrical power of a dark lamp: electronics and fan")
-    efficacy_lm_w: float = Field(40.0, gt=0, le=1000, description="luminous flux of a lamp per electrical power of its light sources")
+    efficacy_lm_w: float = Field(40.0, gt=0, le=1000, description="luminous flux of a lamp per electrical power of its cold light sources")
+    thermal_k_w: float = Field(
+        0.0, ge=0, le=100, description="electrical thermal resistance of a lamp from the light sources' junctions to the air, in K/W"
+    )
+    efficacy_loss_percent_k: float = Field(
+        0.0, ge=0, le=5, description="loss of efficacy in % of efficacy_lm_w by each K of the junctions over the air; 0: none"
+    )
     rate_hz: float | None = Field(
         None, gt=0, le=1000, description="rate at which the lamps draw anew, for the newest measured motion; left out: once a control step"
     )
@@ -73,8 +79,18 @@ class HeadlightParams(Params):
         return names
 
     def power_w(self, flux_lm: float) -> float:
-        """Electrical power of one lamp in W at a luminous flux."""
-        return self.standby_w + flux_lm / self.efficacy_lm_w
+        """Electrical power of one lamp in W at a luminous flux, with its junctions at their steady temperature.
+
+        Efficacy falls linearly with that temperature: `flux = efficacy (1 - loss thermal P) P`, P of the light sources (Hui and Qin, "A
+        General Photo-Electro-Thermal Theory for Light Emitting Diode (LED) Systems", 2009). Raises LuxloopError beyond the greatest flux.
+        """
+        cold_w, loss = flux_lm / self.efficacy_lm_w, self.efficacy_loss_percent_k / 100 * self.thermal_k_w  # W, 1/W
+        if 4 * loss * cold_w > 1:
+            raise LuxloopError(
+                f"headlight.thermal_k_w: a lamp of {flux_lm:.0f} lm gets too hot to give more than {self.efficacy_lm_w / (4 * loss):.0f}"
+                " lm; lower thermal_k_w or efficacy_loss_percent_k"
+            )
+        return self.standby_w + 2 * cold_w / (1 + math.sqrt(1 - 4 * loss * cold_w))
 
 
 class LightParams(Params):

@@ -286,7 +286,7 @@ PIXEL_METHODS = ("headlight", "default", "utilisation", "over")
 def mount(params: HeadlightParams, device: str = "cpu") -> tuple[MountedModule, ...]:
     """The shining modules of a scenario's lamps, all by default.
 
-    Raises LuxloopError for an unknown lamp or module, an impossible movement, and modules without light.
+    Raises LuxloopError for an unknown lamp or module, an impossible movement, modules without light, and lamps that get too hot.
     """
     return tuple(module for side in params.lamps for module in _of_side(side, params, torch.device(device)))
 
@@ -308,6 +308,7 @@ def _of_side(side: Side, params: HeadlightParams, device: torch.device) -> Seque
         T_world_module = (T_world_lamp(side, params) @ rest.T_lamp_module).to(device)
         light = module.headlight.scale(scale).to(device)
         mounts.append(MountedModule(side, lamp, number, light, T_world_module, rest.swivel_deg, rest.level_deg))
+    params.power_w(sum(float(each.headlight.pixel_flux.sum()) for each in mounts))  # refuses a lamp that gets too hot in full light
     return mounts
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 import pytest
 from pydantic import BaseModel, TypeAdapter
 
-from luxloop import Scenario, load, validate
+from luxloop import LuxloopError, Scenario, load, validate
 from luxloop.controllers.symbol import HeightControllerParams
 from luxloop.loop.scenario.shipped import scenario_files
 from luxloop.world.plugin import Name
@@ -89,3 +89,13 @@ def test_traffic_follows_the_drive():
     assert standing.traffic is not None and standing.all_objects == standing.traffic.objects()
     assert driving.vehicle is not None and driving.all_objects == standing.traffic.along(driving.vehicle, 10.0)
     assert len(driving.all_objects) > len(standing.all_objects) and all(each.on_road for each in driving.all_objects)
+
+
+def test_a_warm_lamp_takes_more_power_for_its_flux():
+    headlight = load("obl", ["headlight.thermal_k_w=2", "headlight.efficacy_loss_percent_k=0.5"]).headlight
+    power_w = headlight.power_w(400.0) - headlight.standby_w
+    assert power_w > 400.0 / 40.0
+    assert 40.0 * (1 - 0.005 * 2 * power_w) * power_w == pytest.approx(400.0)  # flux at 2 K/W times its power over the air
+    assert load("obl").headlight.power_w(400.0) == 5.0 + 400.0 / 40.0  # junctions stay cold by default
+    with pytest.raises(LuxloopError, match="a lamp of 1001 lm gets too hot to give more than 1000 lm; lower thermal_k_w"):
+        headlight.power_w(1001.0)

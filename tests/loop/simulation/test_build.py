@@ -104,6 +104,7 @@ def test_levelling_moves_the_cut_off_of_every_lamp_down_by_its_angle(name, tmp_p
         (toml("{ modules = ['wide'], swivel_deg = 1.0 }"), "headlight.swivel_deg.*wide.*swivel"),
         ({"level_deg": 2.5}, "left lamp, module 'narrow': level of 2.5 deg.*-1 to 2 deg"),
         ({"model": "ssl-hdd"}, "'ssl-hdd'.*'ssl-hd'"),
+        ({"thermal_k_w": 100.0, "efficacy_loss_percent_k": 5.0}, "headlight.thermal_k_w.*too hot.*lower thermal_k_w"),
     ],
 )
 def test_what_the_lamp_has_not_is_named(scenario, values, words):
