@@ -67,6 +67,12 @@ class HeadlightParams(Params):
     efficacy_loss_percent_k: float = Field(
         0.0, ge=0, le=5, description="loss of efficacy in % of efficacy_lm_w by each K of the junctions over the air; 0: none"
     )
+    delay_s: float = Field(
+        0.0,
+        ge=0,
+        le=0.5,
+        description="delay of the light after the newest motion sample that it is drawn for: computation and transmission",
+    )
     rate_hz: float | None = Field(
         None, gt=0, le=1000, description="rate at which the lamps draw anew, for the newest measured motion; left out: once a control step"
     )

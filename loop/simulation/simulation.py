@@ -52,6 +52,7 @@ from luxloop.world.frames import View, inverse
 from luxloop.world.headlight.lamp import REST, Commands
 from luxloop.world.rendering.rasterise import check_process
 
+SAME_S = 1e-6  # tolerance of equal times
 BEAMS: Mapping[Baseline, BeamName] = {"full_light": "full", "low_beam": "low"}
 
 
@@ -225,7 +226,8 @@ class Simulation:
         Raises LuxloopError if a user's function moves or dims a module that draws a closed-loop symbol.
         """
         time_s = state.arrivals.time_s
-        ego = self.ego(state.samples, time_s)
+        by_s = max(time_s - self.scenario.headlight.delay_s, 0.0) + SAME_S
+        ego = self.ego(tuple(each for each in state.samples if each.arrived_s <= by_s), time_s)
         now = self.situation(time_s, state.tracks, ego, state.arrivals.objects)
         commanded = self.planner.command(state.commanded, now, self.modules)
         if commanded:

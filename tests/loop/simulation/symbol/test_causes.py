@@ -3,6 +3,7 @@
 import numpy as np
 import pyarrow as pa
 import pytest
+import torch
 
 from luxloop import load
 from luxloop.loop.recording.manifest import table_of
@@ -65,6 +66,16 @@ def test_light_that_follows_the_body_between_frames_stays_where_it_was_in_the_fr
     assert np.array_equal(iou, same), "the frames and what is learnt from them are the same"
     # from the first frame on; in 4 ms, the time of a drawing, the body turns by a quarter of what it does in 17 ms
     assert (same - followed)[1:].mean() < 0.3 * (iou - end)[1:].mean()
+
+
+def test_late_light_is_drawn_for_the_samples_that_were_there_in_time():
+    fast = "{rate_hz=100, delay_s=0.01}"
+    given = [f"sensors={{wheels={fast}, gyro={fast}, attitude={fast}}}", "headlight.delay_s=0.02", "headlight.rate_hz=100", *SMALL]
+    *_, result = simulation_of(load("driving", [*given, "camera.exposure_s=0.004"], steps=4)).run()
+    assert result.time_s == pytest.approx(0.1)
+    assert result.sense.ego.attitude_s == pytest.approx(0.07) and result.reception.samples[-1].measured_s == pytest.approx(0.12)
+    first, second, *_ = result.exposures
+    assert not torch.equal(first.lights[0].u, second.lights[0].u), "a sample of 0.08 s is there when the second is drawn, at 0.108 s"
 
 
 def test_only_the_first_drawing_of_a_frame_is_in_it():
