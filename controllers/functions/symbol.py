@@ -12,18 +12,21 @@ from luxloop.controllers.geometry import Place, on_road
 from luxloop.controllers.pixels.homographies import drawing_rectangle
 from luxloop.controllers.pixels.primitives import Observer, Primitives
 from luxloop.controllers.situation import Category, DrawingParams, SelectionParams, Situation
-from luxloop.controllers.symbol import ControllerParams, refuse_place, refuse_start
+from luxloop.controllers.symbol import ControllerParams, refuse_start, refuse_target
 from luxloop.controllers.symbol.sensing.projector import StartParams, SymbolParams
+from luxloop.controllers.symbol.sensing.road_shape import cells_of_rectangle
 from luxloop.controllers.symbol.sensing.symbol_sensor import FeatureParams
 from luxloop.perception.extraction import Extraction, ExtractionParams
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees, transform
 from luxloop.world.params import Degrees, Length, Metres, Params, Slope
+from luxloop.world.texels import resample
 from luxloop.world.validation import sentences
 
 CONTROLLED: Final = ("start", "target", "features", "extraction")  # keys of symbols that a controller holds
-UNCONTROLLED: Final = ("yaw_deg", "animation", "observer", "share")  # keys of the others
+UNCONTROLLED: Final = ("yaw_deg", "animation", "share")  # keys of the others
 DRIVER_M = (-1.6, 0.35, 1.3)  # the driver's eye, in the vehicle frame
+CELLS: Final = (512, 512)  # of the image of an observer's picture on the flat road, along and across
 
 
 class ConditionParams(SelectionParams):
@@ -117,13 +120,56 @@ class SymbolFunctionParams(DrawingParams):
         for key in UNCONTROLLED:
             if getattr(self, key) != fields[key].default:
                 raise ValueError(f"{key}: does not apply to a symbol with a controller; leave it out, or leave out the controller")
-        refuse_place(self.controller, self.target)
+        if self.observer is not None and self.target != fields["target"].default:
+            raise ValueError("target: the observer's picture is the target; leave target out")
+        refuse_target(self.controller, self.target, self.observer is not None)
         refuse_start(self.controller, self.start_pose)
         try:
             _ = self.held
         except ValidationError as error:
             raise ValueError("; ".join(sentences(error, SymbolParams, ""))) from error
         return self
+
+    def placed(self, now: Situation) -> Self:
+        """The symbol with its eye_m, x_m, y_m, width_m and length_m of the picture on the flat road; unchanged without an observer.
+
+        Raises LuxloopError if the observer does not exist now, or sees the picture where no controller can hold it.
+        """
+        if self.observer is None:
+            return self
+        eye = self.observer.eye(now)
+        if eye is None:
+            raise LuxloopError(f"observer.name: {self.observer.name!r} does not exist when the symbol begins; move start_s, or give eye_m")
+        origin, d1, d2 = self.observer.picture(now, eye)
+        corners = torch.stack([origin, origin + d1, origin + d2, origin + d1 + d2], -1)
+        ways = corners - eye[:, None]
+        x, y = (eye[:, None] + ways * (eye[2] / -ways[2]).where(ways[2] < 0, torch.nan))[:2]
+        (near, right), (far, left) = (torch.stack([each(x), each(y)]).tolist() for each in (torch.min, torch.max))
+        size = {"x_m": (near + far) / 2, "y_m": (left + right) / 2, "length_m": far - near, "width_m": left - right}
+        observer = self.observer.model_copy(update={"eye_m": tuple(eye.tolist()), "name": None})
+        placed = self.model_copy(update={**size, "observer": observer})
+        try:
+            _ = placed.held
+        except ValidationError as error:
+            raise LuxloopError(
+                f"observer: the picture falls on the road from {near:.3g} to {far:.3g} m ahead, {size['width_m']:.3g} m wide, where no "
+                "controller can hold it; lower the picture, or bring it nearer to the observer's feet"
+            ) from error
+        return placed
+
+    def on_flat_road(self, picture: Tensor, now: Situation) -> Tensor:
+        """The image `CELLS` of a placed symbol on its rectangle of the flat road, for a picture `[h, w]` that its observer sees."""
+        if self.observer is None:
+            return picture
+        cells = cells_of_rectangle((self.length_m, self.width_m), CELLS, torch.zeros(0, dtype=torch.float64))
+        points = cells + cells.new_tensor([self.x_m, self.y_m, 0.0])[:, None, None]
+        eye = _world(now, self.observer.eye_m)
+        origin, d1, d2 = self.observer.picture(now, eye)
+        normal = torch.linalg.cross(d1, d2)
+        ways = points - eye[:, None, None]
+        hits = ways * ((origin - eye) @ normal / torch.tensordot(normal, ways, 1)) + (eye - origin)[:, None, None]  # from the origin
+        u, v = (2 * torch.tensordot(edge, hits, 1) / (edge @ edge) - 1 for edge in (d1, d2))
+        return resample(picture[None, None], u[None].to(picture), v[None].to(picture))[0, 0]
 
     @property
     def start_pose(self) -> StartParams:
@@ -133,7 +179,8 @@ class SymbolFunctionParams(DrawingParams):
     @property
     def held(self) -> SymbolParams:
         """The symbol's parameters for its controller."""
-        return SymbolParams.model_validate({key: getattr(self, key) for key in SymbolParams.model_fields})
+        given = {key: getattr(self, key) for key in SymbolParams.model_fields}
+        return SymbolParams.model_validate(given if self.observer is None else given | {"target": "place"})
 
     def shows(self, now: Situation) -> bool:
         """Whether the symbol is drawn now."""

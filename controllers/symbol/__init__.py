@@ -37,9 +37,14 @@ def build_controller(params: AnyParams, sensor: SymbolSensor) -> SymbolControlle
             return with_stages(params, Feedback.prepare(params, sensor), sensor)
 
 
-def refuse_place(params: AnyParams, target: str) -> None:
-    """Raises ValueError where a controller cannot reach its symbol's kind of target."""
+def refuse_target(params: AnyParams, target: str, observed: bool) -> None:
+    """Raises ValueError where a controller cannot reach its symbol's kind of target. observed: whether the symbol has an observer."""
     own = isinstance(params, OwnParams) and params.warp is None and params.supervisor is None
+    if observed and isinstance(params, StagedParams):
+        raise ValueError(
+            f"observer: {params.name} compares with what the car's camera sees of a flat road and cannot draw for another eye; "
+            'set controller.name = "luxloop", or leave out the controller'
+        )
     if target == "place" and isinstance(params, StagedParams) and not own:
         raise ValueError(
             f"target: {params.name} compares with the appearance on a flat road and cannot hold a place; "

@@ -42,7 +42,7 @@ def summary_of(
         mine = of_one(table, name)
         if symbol.evaluator is not None and name in latest:
             now, lights = latest[name].now, open_loop_lights(simulation, latest[name], name)
-            iou = float(symbol.evaluator.evaluate(simulation.world.added(now.time_s, *lights, now.commands), now.time_s).iou)
+            iou = float(symbol.evaluator.evaluate(*lights, now.time_s, now.commands).iou)
             road_m = symbol.evaluator.road_m(mine["time_s"].to_pylist())
         by = covering(simulation, covered[name], name) if covered and name in covered else ()
         judge_every = None if symbol.evaluator is None else scenario.judge_every

@@ -25,7 +25,6 @@ from luxloop.loop.simulation.evaluator import Evaluation, FrameDetections, Symbo
 from luxloop.loop.simulation.lamps import ShiningModule, T_world_reference, under
 from luxloop.loop.simulation.road_metrics import SymbolEvaluator
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.birdseye import rectify
 from luxloop.perception.camera import expose, luminance_of
 from luxloop.world.frames import View, transform
 from luxloop.world.light.emitters import Source, wall_illuminance
@@ -190,7 +189,7 @@ def frame_picture(result: Evaluation, simulation: Simulation, white: Tensor) -> 
         _outline(picture, held.measurement)
     for name in list(result.held)[:1]:
         if (evaluator := simulation.controlled[name].evaluator) is not None:
-            _paste(picture, _from_above(result, simulation, evaluator, white, round(ABOVE * height)), margin, left=True)
+            _paste(picture, _from_above(result, evaluator, white, round(ABOVE * height)), margin, left=True)
     modules, mount = under(simulation.modules, result.now.commands), simulation.scenario.headlight
     wall = wall_light(modules, result.lights, mount, round(WALL_SHARE * width))
     _paste(picture, tone_map(wall, wall.max().clamp(min=1e-6)), margin, left=False)
@@ -227,14 +226,13 @@ def _outline(picture: Picture, seen: Measurement) -> None:
         cv2.drawContours(picture, contours, -1, SEEN_RGB, 1)
 
 
-def _from_above(result: Evaluation, simulation: Simulation, evaluator: SymbolEvaluator, white: Tensor, height: int) -> Picture:
+def _from_above(result: Evaluation, evaluator: SymbolEvaluator, white: Tensor, height: int) -> Picture:
     """The road around a symbol's target from above, far end on top, with the outline of the target. height: px."""
     symbol, axes = evaluator.symbol, evaluator.plane.axes
-    light = simulation.world.added(result.time_s, result.exposures[0].lights, result.off.lights, result.now.commands)
+    light = evaluator.from_above(result.exposures[0].lights, result.off.lights, result.time_s, result.now.commands)
     rows = (axes.v + symbol.x_m).abs() <= CLOSE * symbol.length_m
     cols = (axes.u + symbol.y_m).abs() <= CLOSE * symbol.width_m
-    plane = rectify(evaluator.plane_at(result.time_s), light)[rows.to(light.device)][:, cols.to(light.device)]
-    flat = tone_map(plane, white)
+    flat = tone_map(light[rows.to(light.device)][:, cols.to(light.device)], white)
     picture = cv2.resize(flat, (round(flat.shape[1] * height / flat.shape[0]), height), interpolation=cv2.INTER_AREA)
     px_per_m = height / (float(axes.v[1] - axes.v[0]) * int(rows.sum()))
     centre = (-symbol.y_m - float(axes.u[cols][0]), -symbol.x_m - float(axes.v[rows][0]))

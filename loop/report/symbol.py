@@ -28,7 +28,6 @@ from luxloop.loop.simulation.result import Lights
 from luxloop.loop.simulation.road_metrics import SymbolEvaluator
 from luxloop.loop.simulation.simulated import SimulatedPlant
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.birdseye import rectify
 from luxloop.perception.camera import luminance_of
 from luxloop.perception.metrics import THRESHOLD
 from luxloop.world.frames import View
@@ -274,9 +273,10 @@ def _birds_eye_views(figure: SubFigure, evaluator: SymbolEvaluator, lights: Pair
     goal, axes_m, symbol = evaluator.goal, evaluator.plane.axes, evaluator.symbol
     y, x = -axes_m.u.cpu().numpy(), -axes_m.v.cpu().numpy()
     mask = goal.mask.float().cpu().numpy()
-    figure.suptitle("From above, noise-free", x=0.12, ha="left", weight="bold", fontsize=STYLE["axes.titlesize"])
+    title = "From above, noise-free" if evaluator.view is None else "In the observer's view, as if from above, noise-free"
+    figure.suptitle(title, x=0.12, ha="left", weight="bold", fontsize=STYLE["axes.titlesize"])
     for axes, (title, (on, off)) in zip(figure.subplots(1, 2, sharey=True), lights.items(), strict=True):
-        plane = rectify(evaluator.plane_at(last.time_s), evaluator.world.added(last.time_s, on, off, last.now.commands)).cpu().numpy()
+        plane = evaluator.from_above(on, off, last.time_s, last.now.commands).cpu().numpy()
         axes.imshow(_night(plane, 1.5 * float(goal.median)), extent=(y[0], y[-1], x[-1], x[0]), **SHARES)
         axes.contour(y, x, mask, levels=[0.5], colors=TARGET, linewidths=0.8)
         axes.set_title(title, weight="normal", loc="center")

@@ -198,7 +198,7 @@ class Scenario(Params):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         for sentence in chain.from_iterable(
-            topic(self) for topic in (_lamps, _modules, _exposures, _projections, _detection, _probes, _names)
+            topic(self) for topic in (_lamps, _modules, _exposures, _projections, _observers, _detection, _probes, _names)
         ):
             raise ValueError(sentence)
         return self
@@ -345,6 +345,19 @@ def _projections(scenario: Scenario) -> Iterator[str]:
     for key in ("judge_causes", "judge_projections"):
         if getattr(scenario, key) and not scenario.judge_every:
             yield f"{key}: judge_every = 0 evaluates no step; set it to 1 or more, or leave {key} out"
+
+
+def _observers(scenario: Scenario) -> Iterator[str]:
+    """Moving observers of symbols under control."""
+    for name, symbol in scenario.symbols.items():
+        who = None if symbol.observer is None else symbol.observer.name
+        moving = {each.name: each.path is not None or len(each.track) > 1 for each in scenario.all_objects}
+        if who is not None and (scenario.vehicle is not None or moving.get(who)):
+            what = "the car drives" if scenario.vehicle is not None else f"{who!r} moves"
+            yield (
+                f"functions.{name}.observer.name: {what}, but a controller draws for an eye that stays in its place beside the car; "
+                "give eye_m, or leave out the controller"
+            )
 
 
 def _detection(scenario: Scenario) -> Iterator[str]:

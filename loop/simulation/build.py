@@ -16,7 +16,7 @@ from luxloop.loop.scenario.plant import RecordedPlantParams, RemotePlantParams, 
 from luxloop.loop.scenario.shipped import find_file
 from luxloop.loop.simulation.clock import FromZero
 from luxloop.loop.simulation.columns import of_truth
-from luxloop.loop.simulation.controlled import build_symbols
+from luxloop.loop.simulation.controlled import build_symbols, place
 from luxloop.loop.simulation.detection import DetectionPipeline
 from luxloop.loop.simulation.lamps import MountedModule, drawing_modules, lamp_modules, mount, shining_module
 from luxloop.loop.simulation.part_cache import PartCache
@@ -26,7 +26,7 @@ from luxloop.loop.simulation.truth import LampModule, true_camera
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.detection.detector import TruthParams
 from luxloop.world import plugin
-from luxloop.world.errors import LuxloopError, all_of, did_you_mean
+from luxloop.world.errors import LuxloopError, all_of, did_you_mean, locate
 from luxloop.world.headlight.lamp import REST
 from luxloop.world.rendering.rasterise import check_process
 
@@ -107,7 +107,9 @@ def _plant(scenario: Scenario, modules: Modules) -> Sentences:
 
 def _symbols(scenario: Scenario, modules: Modules) -> Sentences:
     """Symbol targets outside the camera's view."""
-    for name, symbol in scenario.symbols.items():
+    for name, given in scenario.symbols.items():
+        with locate(f"functions.{name}"):
+            symbol = place(given, scenario)
         target = f"functions.{name}: the target at x_m = {symbol.x_m:g}, y_m = {symbol.y_m:g}"
         if not _in_the_image(symbol.held, scenario.camera):
             yield f"{target} is outside of the camera's view; move it, or turn the camera"

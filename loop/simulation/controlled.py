@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Final
 
 import torch
 from torch import Tensor
@@ -14,7 +14,7 @@ from luxloop.controllers.functions.planner import Plan, Planner
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
 from luxloop.controllers.pixels.primitives import Primitives, concatenate
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.controllers.situation import LAYERS, Situation
+from luxloop.controllers.situation import LAYERS, Situation, TrackedObject
 from luxloop.controllers.symbol import AnyParams, ControllerParams, build_controller
 from luxloop.controllers.symbol.heights.feedforward import FeedforwardParams, OpenLoopParams
 from luxloop.controllers.symbol.heights.height_map import Belief
@@ -27,14 +27,16 @@ from luxloop.controllers.symbol.sensing.symbol_sensor import (
     SymbolController,
     SymbolSensor,
     flat_model,
+    flat_transports,
 )
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.shipped import find_file
 from luxloop.loop.simulation.lamps import ShiningModule, drawing_modules
 from luxloop.loop.simulation.part_cache import PartCache
+from luxloop.loop.simulation.projections import view_from
 from luxloop.loop.simulation.protocol import ExposurePair
 from luxloop.loop.simulation.road_metrics import SymbolEvaluator
-from luxloop.loop.simulation.simulated import find_road
+from luxloop.loop.simulation.simulated import body_of, find_road
 from luxloop.loop.simulation.world import World
 from luxloop.perception.camera import CameraParams, camera_view, saturation_luminance
 from luxloop.perception.egomotion import Ego
@@ -42,12 +44,14 @@ from luxloop.perception.extraction import ExtractionStatus
 from luxloop.perception.metrics import THRESHOLD
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.light.emitters import ambient_luminance
+from luxloop.world.light.illumination import added_light
 from luxloop.world.materials.library import RoadSurfaceParams
 from luxloop.world.rendering.gbuffer import flat_road
 from luxloop.world.roads.base import Road
 from luxloop.world.symbols import load_still
 from luxloop.world.texels import Window
 
+ORIGIN: Final = Situation(0.0, torch.eye(4), torch.zeros(0, 3))  # the ground frame, without objects
 SAME = 1e-4  # difference of utilisations within rounding
 
 
@@ -183,7 +187,7 @@ def choose_measured(
 
 def brightness(sensor: SymbolSensor, evaluator: SymbolEvaluator | None) -> Tensor:
     """Median luminance `[]` in cd/m^2 of the symbol at its target on a flat road."""
-    if evaluator is not None:
+    if evaluator is not None and evaluator.view is None:
         return evaluator.goal.median
     flat = sensor.model.luminance(sensor.projector.light(sensor.projector.target))
     return flat[flat > THRESHOLD * flat.max()].median()
@@ -197,12 +201,12 @@ def build_symbols(
     Raises LuxloopError for a missing or broken file, a symbol that the lamps cannot draw or the camera cannot see, or a user's controller
     that cannot be made.
     """
-    base = planner.compose(Situation(0.0, torch.eye(4), torch.zeros(0, 3)), planner.start(), {}).base
+    base = planner.compose(ORIGIN, planner.start(), {}).base
     names = [name for name in planner.functions if name in scenario.symbols]
     symbols = {}
     for name in names:
         with locate(f"functions.{name}"):
-            function = scenario.symbols[name]
+            function = place(scenario.symbols[name], scenario)
             drawn_by = drawing_modules(function, modules)
             drawn = function.model_copy(update={"controller": None, "start": None})
             optics = drawn, vars(base), tuple(modules[k] for k in drawn_by), scenario.surface, scenario.light.ambient_lx
@@ -211,6 +215,15 @@ def build_symbols(
             controller = cache(f"{name}: controller", build_symbol_controller, function.controller, sensor)
             symbols[name] = ControlledSymbol(function, drawn_by, sensor, controller, evaluator)
     return symbols
+
+
+def place(symbol: SymbolFunctionParams, scenario: Scenario) -> SymbolFunctionParams:
+    """A symbol of a scenario on the flat road, where its observer sees it when it begins; raises as `SymbolFunctionParams.placed`."""
+    if symbol.observer is None:
+        return symbol
+    time_s, road = symbol.start_s or 0.0, find_road(scenario.road)
+    bodies = (body_of(item, road) for item in scenario.all_objects if item.name == symbol.observer.name)
+    return symbol.placed(replace(ORIGIN, time_s=time_s, objects=tuple(TrackedObject.of(each, "other", time_s) for each in bodies)))
 
 
 def _sensor(
@@ -225,18 +238,28 @@ def _sensor(
     drawing = tuple(DrawingModule(each.name, each.controller.over(each.base(plan)), each.T_world_module) for each in modules)
     with locate("image"):
         image = load_still(find_file(function.image, "symbols")).to(modules[0].flux.device)
-    projector = Projector(drawing, image, function.held, camera_view(camera).origin)
+    observer = None if function.observer is None else torch.tensor(function.observer.eye_m, dtype=torch.float64)
+    image = function.on_flat_road(image, ORIGIN)
+    projector = Projector(drawing, image, function.held, camera_view(camera).origin, observer)
     model = flat_model(projector, camera, surface, ambient_lx, function.extraction, function.features)
     return SymbolSensor(projector, model, camera, function.extraction)
 
 
 def _symbol_evaluator(sensor: SymbolSensor, world: World | None, road: Road, *optics: Any) -> SymbolEvaluator | None:
     """Evaluator of a symbol, None without the truth. Raises LuxloopError as `check_light`."""
-    evaluator, (function, base, *_) = None, optics
+    evaluator, (function, base, _, surface, _) = None, optics
     if world is not None:
-        true_sensor = sensor if world.camera == sensor.camera else _sensor(world.camera, *optics)
-        flat_luminance = true_sensor.model.luminance(sensor.projector.light(sensor.projector.target))
-        evaluator = SymbolEvaluator.of(world, function.held, road, flat_luminance)
+        projector = sensor.projector
+        light = projector.light(projector.target)
+        if projector.observer is None:
+            true_sensor = sensor if world.camera == sensor.camera else _sensor(world.camera, *optics)
+            evaluator = SymbolEvaluator.of(world, function.held, road, true_sensor.model.luminance(light))
+        else:
+            view = view_from(projector.observer, function)
+            dark = torch.zeros(view.height, view.width, device=projector.symbol.device)
+            transports = flat_transports(projector, view, surface)[1]
+            flat_luminance = added_light(transports, light, dark) - added_light(transports, projector.resting, dark)
+            evaluator = SymbolEvaluator.of(world, function.held, road, flat_luminance, view)
     check_light(sensor, evaluator, base["name"])
     return evaluator
 

@@ -50,7 +50,7 @@ from luxloop.loop.simulation.road_metrics import over_setpoint
 from luxloop.loop.simulation.world import ObjectLight, World, categories
 from luxloop.perception.detection.detector import Detections
 from luxloop.perception.eye import threshold_increment
-from luxloop.perception.metrics import Metrics, evaluate
+from luxloop.perception.metrics import Metrics
 from luxloop.perception.tracking import TrackedBoxes
 from luxloop.world.frames import inverse, transform
 from luxloop.world.headlight.lamp import Commands
@@ -382,10 +382,10 @@ class Evaluator:
         evaluator, world, belief = symbol.evaluator, self.world, symbol.belief(result.planning.symbols[name], result.sense.ego)
         assert evaluator is not None and world is not None
         off = result.off.lights if len(measured) == 1 else self._lights_without(result, name)
-        plane, causes = evaluator.plane_at(now.time_s), dict[str, Tensor]()
+        causes = dict[str, Tensor]()
 
         def metrics(lights: Lights) -> Metrics:
-            return evaluate(world.added(now.time_s, lights, off, now.commands), plane, evaluator.goal)
+            return evaluator.evaluate(lights, off, now.time_s, now.commands)
 
         shown = metrics(result.exposures[0].lights)
         if self.scenario.judge_causes:
@@ -395,8 +395,7 @@ class Evaluator:
             if world.motion is not STANDING:
                 last = result.exposures[self.scenario.drawings[0] - 1]
                 end_s = last.start_s + last.duration_s
-                end = evaluate(world.added(end_s, last.lights, off, last.commands), evaluator.plane_at(end_s), evaluator.goal)
-                causes["iou_end"] = end.iou
+                causes["iou_end"] = evaluator.evaluate(last.lights, off, end_s, last.commands).iou
             if (true_pose := drawn.get("iou_true_pose")) is not None:
                 causes |= zip(MOTION, shown.centroid_percent - true_pose.centroid_percent, strict=True)
         return {

@@ -112,7 +112,11 @@ def _modulation(added: Tensor, seen: LitScene, T_ground_world: Tensor, symbol: S
 
 def driver_view(symbol: SymbolFunctionParams) -> View:
     """View in the ground frame from the driver's eye that holds a symbol and its surround, in as many pixels as there may be."""
-    eye = torch.tensor(DRIVER_M, dtype=torch.float64)
+    return view_from(torch.tensor(DRIVER_M, dtype=torch.float64), symbol)
+
+
+def view_from(eye: Tensor, symbol: SymbolFunctionParams) -> View:
+    """View in the ground frame from an eye at `[3]` m that holds a symbol and its surround, in as many pixels as there may be."""
     yaw = math.radians(symbol.yaw_deg)
     along, across = (0.5 + MARGIN) * symbol.length_m, (0.5 + MARGIN) * symbol.width_m
     corners = torch.tensor([[along, along, -along, -along], [across, -across, across, -across]], dtype=torch.float64)

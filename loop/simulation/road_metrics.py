@@ -18,13 +18,15 @@ from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
 from luxloop.loop.simulation.lamps import ShiningModule
 from luxloop.loop.simulation.world import LitScene, World
-from luxloop.perception.birdseye import BirdsEye, Region, birds_eye, cells, region_around
+from luxloop.perception.birdseye import BirdsEye, Region, birds_eye, cells, rectify, region_around
 from luxloop.perception.metrics import CELL_M, Metrics, Target, evaluate, target
 from luxloop.world.frames import View, inverse, transform
 from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Commands
 from luxloop.world.roads.base import Road
 from luxloop.world.scene.vehicle import STANDING
 
+Lights = tuple[Utilisation, ...]  # one a module
 AREA: Final = (21, 11)  # points along and across the target, for the mean height of the road
 LEAST_LX = 1.0  # on a surface facing the lamps; less is invisible to road users
 
@@ -34,7 +36,8 @@ class SymbolEvaluator:
     """Compares noise-free light with a symbol's target.
 
     world: the true world. road: surface of the target, unless the target is an appearance. plane: target plane at the start, see
-    `plane_at`.
+    `plane_at`. view: the view in the ground frame of an observer, in which the symbol is compared with its appearance on a flat road; None:
+    the camera's.
     """
 
     world: World
@@ -42,22 +45,36 @@ class SymbolEvaluator:
     road: Road
     plane: BirdsEye
     goal: Target
+    view: View | None = None
 
     @classmethod
-    def of(cls, world: World, symbol: SymbolParams, road: Road, flat_luminance: Tensor) -> "SymbolEvaluator":
-        """flat_luminance: `[height, width]` cd/m^2 of the symbol at its target on a flat road in the true camera."""
-        flat = _plane(symbol, world.view, None).to(world.device)
+    def of(cls, world: World, symbol: SymbolParams, road: Road, flat_luminance: Tensor, view: View | None = None) -> "SymbolEvaluator":
+        """flat_luminance: `[height, width]` cd/m^2 of the symbol at its target on a flat road in the view, by default the true camera's."""
+        flat = _plane(symbol, view or world.view, None).to(world.device)
         goal = target(flat_luminance, flat, symbol.length_m, symbol.width_m)
-        plane = flat if symbol.target == "appearance" else _plane(symbol, world.view, _places(symbol, road, world, 0.0)).to(world.device)
-        return cls(world, symbol, road, plane, goal)
+        appears = view is not None or symbol.target == "appearance"
+        plane = flat if appears else _plane(symbol, world.view, _places(symbol, road, world, 0.0)).to(world.device)
+        return cls(world, symbol, road, plane, goal, view)
 
-    def metrics(self, lights: tuple[Utilisation, ...], time_s: float) -> Metrics:
-        """Metrics of an on exposure at a time. lights: utilisations, one a module."""
-        return self.evaluate(self.world.lit(time_s).luminance(lights), time_s)
+    def metrics(self, lights: Lights, time_s: float) -> Metrics:
+        """Metrics of an on exposure in the dark at a time, in the camera's view."""
+        return evaluate(self.world.lit(time_s).luminance(lights), self.plane_at(time_s), self.goal)
 
-    def evaluate(self, luminance: Tensor, time_s: float) -> Metrics:
-        """Metrics at a time. luminance: `[height, width]` cd/m^2 of the symbol alone."""
-        return evaluate(luminance, self.plane_at(time_s), self.goal)
+    def evaluate(self, on: Lights, off: Lights, time_s: float, commands: Commands = ()) -> Metrics:
+        """Metrics of the symbol at a time. on, off: light with and without it."""
+        return evaluate(self.added(on, off, time_s, commands), self.plane_at(time_s), self.goal)
+
+    def from_above(self, on: Lights, off: Lights, time_s: float, commands: Commands = ()) -> Tensor:
+        """Luminance `[rows, cols]` in cd/m^2 of the symbol on the cells of the target's plane."""
+        return rectify(self.plane_at(time_s), self.added(on, off, time_s, commands))
+
+    def added(self, on: Lights, off: Lights, time_s: float, commands: Commands = ()) -> Tensor:
+        """Luminance `[height, width]` in cd/m^2 of the symbol in the view."""
+        if self.view is None:
+            return self.world.added(time_s, on, off, commands)
+        seen = self.world.through(self.view, time_s)
+        with_symbol, without = (seen.light([each.u for each in lights], commands)[1] for lights in (on, off))
+        return with_symbol - without
 
     @cached_property
     def area(self) -> Tensor:
@@ -83,7 +100,7 @@ class SymbolEvaluator:
     def plane_at(self, time_s: float) -> BirdsEye:
         """Bird's-eye view of the target at a time: on the ground plane for an appearance, else on the road."""
         view, motion, appears = self.world.view_from_ground(time_s), self.world.motion, self.symbol.target == "appearance"
-        if motion is STANDING or (appears and view.T_world_view.equal(self.world.view.T_world_view)):
+        if self.view is not None or motion is STANDING or (appears and view.T_world_view.equal(self.world.view.T_world_view)):
             return self.plane
         places = None if appears else _places(self.symbol, self.road, self.world, time_s)
         return _plane(self.symbol, view, places).to(self.world.device)

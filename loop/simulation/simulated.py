@@ -57,7 +57,7 @@ def build_scene(scenario: Scenario, motion: Motion = STANDING, cache: PartCache 
     """Road along the vehicle's course, and objects. Raises LuxloopError for a missing or broken file."""
     cache, vehicle, road, albedo = cache or PartCache(), scenario.vehicle, find_road(scenario.road), scenario.surface.albedo
     texture = cache("texture", SpottedTexture, scenario.surface, scenario.spots, motion is not STANDING)
-    objects = tuple(cache(f"object {item.name}", _object, item, road) for item in scenario.all_objects)
+    objects = tuple(cache(f"object {item.name}", body_of, item, road) for item in scenario.all_objects)
     sight_m = SIGHT_M if scenario.traffic is None else max(SIGHT_M, scenario.traffic.sight_m + AROUND_M)
     ground: Ground
     if motion is STANDING:
@@ -70,7 +70,8 @@ def build_scene(scenario: Scenario, motion: Motion = STANDING, cache: PartCache 
     return cache("scene", Scene, (ground, *objects), scenario.light.ambient_lx, scenario.light.street_lamps)
 
 
-def _object(item: ObjectParams, road: Road) -> Body | Figure:
+def body_of(item: ObjectParams, road: Road) -> Body | Figure:
+    """An object of a scenario. Raises LuxloopError for a missing or broken file."""
     body = item.build()
     return replace(body, track=replace(body.track, road=road, wheels_m=item.wheels_m)) if item.on_road else body
 

@@ -284,7 +284,7 @@ class HeightController:
         """The road map of a road of shape `[4]`, relative to the plane of the symbol on that road."""
         symbol = self.projector.params
         rise = float((shape - (0 if before.shape is None else before.shape)) @ shape.new_tensor([1.0, 0.0, symbol.y_m, 0.0]))
-        plane = aim(shape, symbol, self.projector.modules, self.eye)
+        plane = aim(shape, symbol, self.projector.modules, self.eye, self.projector.observer)
         nothing = replace(self._nothing(self.over(plane)[1]), T_ground_plane=plane)
         believed = _assume_heights(nothing, self._heights(shape, nothing))
         return replace(believed, shape=shape, searched=before.searched + 1, settled=abs(rise) < SAME_M)
@@ -317,7 +317,8 @@ class HeightController:
         symbol, plane = self.projector.params, road_map.T_ground_plane
         if not (road_map.heights.any_information or road_map.heights.base.any()):
             return flat_command(self.projector.target, inverse(body_over(plane, prediction.body)))
-        return replace(self._belief(road_map, prediction).draw(self.projector), aim=elsewhere(plane, symbol))
+        away = elsewhere(plane, symbol) if self.projector.observer is None else None
+        return replace(self._belief(road_map, prediction).draw(self.projector), aim=away)
 
     def _belief(self, road_map: RoadMap, prediction: BodyPrediction) -> Belief:
         plane = road_map.T_ground_plane

@@ -52,11 +52,16 @@ class HeightMap:
         place = torch.stack([x, y, torch.zeros_like(x)])
         return place + (eye.view(3, *(1,) * x.dim()) - place) * (h / eye[2])  # where lines of sight are at height h
 
-    def under(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Road height `[h, w]` m at ground coordinates x and y `[h, w]` m, and the plane points `[2, h, w]` on the same lines of sight."""
-        eye, place = self.eye.to(x), torch.stack([x, y])
+    def under(self, x: Tensor, y: Tensor, observer: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Road height `[h, w]` m at ground coordinates x and y `[h, w]` m, and the plane points `[2, h, w]` on the same lines of sight.
+
+        observer: another eye at `[3]` m, whose lines of sight through x, y on the plane are followed to the road; None: vertical lines.
+        """
+        eye, foot = self.eye.to(x), torch.stack([x, y])
+        other = None if observer is None else observer.to(x)
         heights = torch.zeros_like(x)
         for _ in range(ROUNDS):  # damped by half, or steep drops would oscillate
+            place = foot if other is None else foot + (other[:2, None, None] - foot) * (heights / other[2])
             # Where lines of sight to height h over the places meet z = 0, [2, h, w].
             behind = eye[:2, None, None] + (place - eye[:2, None, None]) * (eye[2] / (eye[2] - heights))
             heights = (heights + self.at(self.heights, *behind)) / 2
@@ -101,22 +106,51 @@ HIGHEST_M = 0.2  # height of a road above which the patch is fitted to it
 LEAST_DEPTH_M = 0.05  # least search range above and below a fitted patch
 
 
-def draw_on(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, T_body_ground: Tensor, in_place: bool = False) -> ProjectionCommand:
+@dataclass(frozen=True)
+class Sight:
+    """The lines of sight of an observer who sees the symbol on the road as on the plane z = 0 of the ground (T 7.2.2).
+
+    eye: `[3]` m in the ground frame. T_ground_plane: `[4, 4]`, frame of the road's points.
+    """
+
+    eye: Tensor
+    T_ground_plane: Tensor
+
+    def on_ground(self, road: Tensor) -> Tensor:
+        """x, y `[2, ...]` m on the ground's plane at which the observer sees points `[3, ...]` m of the road."""
+        points, eye = transform(self.T_ground_plane.to(road), road.flatten(1)), self.eye.to(road)[:, None]
+        rise = points[2] / (eye[2] - points[2]).clamp(min=LEAST_DROP_M)
+        return (points + (points - eye) * rise)[:2].view_as(road[:2])
+
+    def on_road(self, relief: HeightMap, x: Tensor, y: Tensor) -> Tensor:
+        """Points `[3, h, w]` m of the road that the observer sees at x, y `[h, w]` m on the ground's plane."""
+        T = inverse(self.T_ground_plane).to(x)
+        eye = transform(T, self.eye.to(x)[:, None])[:, :, None]
+        points = transform(T, torch.stack([x, y, 0 * x]).flatten(1)).view(3, *x.shape)
+        foot = eye + (points - eye) * (eye[2] / (eye[2] - points[2]))  # on the plane of the points
+        return foot + (eye - foot) * (relief.under(foot[0], foot[1], eye[:, 0, 0])[0] / eye[2])
+
+
+def draw_on(
+    relief: HeightMap, lamps: Tensor, symbol: SymbolParams, T_body_ground: Tensor, in_place: bool = False, sight: Sight | None = None
+) -> ProjectionCommand:
     """Inverse ray tracing: the symbol on a rectangle, warped so that the eye sees the same image on the road as on the plane.
 
     relief: height map in the ground frame. lamps: `[m, 3]` m in the ground frame. T_body_ground: `[4, 4]`, for the command in the body
     frame. A cell of the rectangle takes the symbol's value at the plane point where the eye sees the cell's light; with in_place, at the
-    lit road point. Cells that appear brighter than on the plane are dimmed.
+    lit road point; with sight, where an observer sees it. Cells that appear brighter than on the plane are dimmed.
     """
     lamps = lamps.to(relief.heights)
-    T, size_m, depth_m = _patch(relief, lamps, symbol, in_place)
+    T, size_m, depth_m = _patch(relief, lamps, symbol, in_place, sight)
     rows, cols = (n // FOLLOWED for n in CELLS)
     cells = cells_of_rectangle(size_m, (rows, cols), lamps)  # of blocks of FOLLOWED cells along and across, [3, rows, cols]
     points = transform(T, cells.flatten(1)).view_as(cells)
     # Each lamp's light on the plane, [m, rows, cols] each.
     x_seen, y_seen = torch.stack([torch.stack(relief.seen_from(lamp, points, T[:3, 2], depth_m)) for lamp in lamps]).unbind(1)
     brightness = relief.at(relief.brightness, x_seen.flatten(0, 1), y_seen.flatten(0, 1)).view_as(x_seen)
-    if in_place:
+    if sight is not None:
+        x_seen, y_seen = sight.on_ground(relief.points(x_seen, y_seen))
+    elif in_place:
         x_seen, y_seen, _ = relief.points(x_seen, y_seen)
     source = [2 * (symbol.y_m - y_seen) / symbol.width_m, 2 * (symbol.x_m - x_seen) / symbol.length_m]  # u, v in -1..1
     coarse = torch.stack([*source, 1 / brightness.clamp(min=1)], 1)  # [m, 3, rows, cols]
@@ -146,7 +180,8 @@ class Belief:
         symbol, plane = projector.params, self.T_ground_plane
         T_plane_body = body_over(plane, self.T_ground_body)
         lamps = transform(T_plane_body, torch.stack([each.T_body_headlight[:3, 3] for each in projector.modules], 1).to(T_plane_body)).T
-        return draw_on(self.relief, lamps, symbol, inverse(T_plane_body), symbol.target == "place" or not plane.equal(HERE))
+        sight = None if projector.observer is None else Sight(projector.observer, plane)
+        return draw_on(self.relief, lamps, symbol, inverse(T_plane_body), symbol.target == "place" or not plane.equal(HERE), sight)
 
     def heights(self, x: Tensor, y: Tensor) -> Tensor:
         """Believed height `[h, w]` m of the road above the plane of the ground at ground coordinates `[h, w]` m."""
@@ -157,7 +192,9 @@ class Belief:
         return z + self.relief.under(*on_plane[:2])[0] / rise
 
 
-def _patch(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, in_place: bool) -> tuple[Tensor, tuple[float, float], float]:
+def _patch(
+    relief: HeightMap, lamps: Tensor, symbol: SymbolParams, in_place: bool, sight: Sight | None
+) -> tuple[Tensor, tuple[float, float], float]:
     """A rectangle that all light of the symbol crosses: on the plane z = 0 if possible, else on the plane that fits the road best.
 
     Returns pose `[4, 4]`, length and width in m, and the search range above and below the rectangle in m. On z = 0 the cells stay aligned
@@ -166,7 +203,11 @@ def _patch(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, in_place: boo
     along, across = (torch.linspace(-0.5, 0.5, n).to(lamps) for n in SAMPLES)
     # The symbol's points, [33, 17] m each.
     x, y = torch.broadcast_tensors((symbol.x_m + symbol.length_m * along)[:, None], symbol.y_m + symbol.width_m * across)
-    road = (torch.stack([x, y, relief.under(x, y)[0]]) if in_place else relief.points(x, y)).flatten(1)  # [3, k]
+    if sight is not None:
+        road = sight.on_road(relief, x, y)
+    else:
+        road = torch.stack([x, y, relief.under(x, y)[0]]) if in_place else relief.points(x, y)
+    road = road.flatten(1)  # [3, k]
     level, size = pose(lamps.new_tensor([symbol.x_m, symbol.y_m, 0.0]), torch.eye(3).to(lamps)), (symbol.length_m, symbol.width_m)
     reach = lamps.new_tensor([length * (0.5 + beyond) for length, beyond in zip(size, BEYOND, strict=True)])
     low, high, depth = _crossings(level, road, lamps)

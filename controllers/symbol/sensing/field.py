@@ -68,13 +68,16 @@ PLACES_M, STEP_M = (5.0, 60.0), 0.25  # distances ahead, and their step, tried f
 SAME_M = 1e-3  # distance below which two places are equal
 
 
-def aim(shape: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], eye: Tensor) -> Tensor:
+def aim(shape: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], eye: Tensor, observer: Tensor | None = None) -> Tensor:
     """Pose `[4, 4]` of the plane on which the symbol is drawn, with the symbol at its x_m, y_m; HERE for the appearance on z = 0.
 
     shape: `[4]` of the road. eye: `[3]` m. The plane is tangent to the road at the target if the lamps light the target's middle, else at
-    the nearest place ahead where they light the whole symbol; HERE if there is none.
+    the nearest place ahead where they light the whole symbol; HERE if there is none. observer: `[3]` m; then the plane is tangent where
+    this eye sees the target's middle on the road.
     """
     shape, eye = shape.detach().cpu().double(), eye.cpu().double()
+    if observer is not None:
+        return _seen_plane(shape, symbol, observer.cpu().double())
     if symbol.target == "appearance" and _appears(shape, symbol, modules, eye):
         return HERE
     ahead = torch.arange(*PLACES_M, STEP_M, dtype=torch.float64)
@@ -83,6 +86,16 @@ def aim(shape: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], e
     lit = _lit(planes, symbol, modules, eye)
     fine = torch.cat([lit[:1, 0], lit[1:].all(-1)])
     return planes[int(fine.to(torch.uint8).argmax())] if bool(fine.any()) else HERE
+
+
+def _seen_plane(shape: Tensor, symbol: SymbolParams, observer: Tensor) -> Tensor:
+    """The plane tangent to the road where an eye at `[3]` m sees the target's middle; HERE if it sees the road farther than FARTHEST."""
+    way = observer.new_tensor([symbol.x_m, symbol.y_m, 0.0]) - observer
+    share = ray_lengths(shape[None], symbol.x_m, observer, way)[0]
+    if share > FARTHEST:
+        return HERE
+    at, (_, b, c, d) = observer + share * way, shape
+    return tangent_plane(at, b + d * (at[0] - symbol.x_m), c, symbol.x_m, symbol.y_m)
 
 
 def elsewhere(T_ground_plane: Tensor, symbol: SymbolParams) -> Tensor | None:

@@ -158,13 +158,15 @@ class Projector:
     """Draws one symbol with lamp modules.
 
     modules: the drawing modules. symbol: image `[h, w]` in 0..1. params: size, brightness and target. eye: `[3]` m in the body frame, the
-    camera for which road shapes are compensated.
+    camera for which road shapes are compensated. observer: `[3]` m in the ground frame, the eye that is to see the symbol on the road as
+    on the plane z = 0; None: the target decides.
     """
 
     modules: tuple[DrawingModule, ...]
     symbol: Tensor
     params: SymbolParams
     eye: Tensor
+    observer: Tensor | None = None
 
     @property
     def target(self) -> Tensor:

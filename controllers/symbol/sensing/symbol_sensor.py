@@ -25,7 +25,7 @@ from luxloop.world.light.emitters import ambient_luminance
 from luxloop.world.light.illumination import Transport, added_light, lit_surface, transport
 from luxloop.world.materials.library import RoadSurfaceParams
 from luxloop.world.params import Params
-from luxloop.world.rendering.gbuffer import flat_road
+from luxloop.world.rendering.gbuffer import GBuffer, flat_road
 from luxloop.world.texels import NOWHERE, Window
 
 
@@ -102,6 +102,15 @@ class FlatModel:
         return symbol_image(*self.contrast(lights, crop), self.params)
 
 
+def flat_transports(
+    projector: Projector, view: View, surface: RoadSurfaceParams, samples: int = 1
+) -> tuple[GBuffer, tuple[Transport, ...]]:
+    """Flat road in a view with `samples` rows in a pixel, and matrices from utilisations to its pixels, one a module."""
+    ground = flat_road(view.with_rows(samples), surface.seen_albedo, material=surface.ground).to(projector.symbol.device)
+    drawing = [(module.pixel_controller.headlight, module.T_body_headlight) for module in projector.modules]
+    return ground, tuple(transport(lit_surface(ground, light, T), light, view.width, samples) for light, T in drawing)
+
+
 def flat_model(
     projector: Projector,
     camera: CameraParams,
@@ -112,20 +121,14 @@ def flat_model(
 ) -> FlatModel:
     """Build the model for a camera and an assumed road of uniform, unmarked asphalt under ambient light in lx; measure target and gains."""
     view, samples = camera_view(camera), camera.oversampling
-    ground = flat_road(view.with_rows(samples), surface.seen_albedo, material=surface.ground).to(projector.symbol.device)
-    transports = []
-    for module in projector.modules:
-        headlight = module.pixel_controller.headlight
-        transports.append(transport(lit_surface(ground, headlight, module.T_body_headlight), headlight, view.width, samples))
+    ground, transports = flat_transports(projector, view, surface, samples)
     ambient = average_rows(ambient_luminance(ground, ambient_lx), samples)
     beams = added_light(transports, projector.resting, torch.zeros_like(ambient))
     limit = noise_limit(ambient + beams, camera, params)
     symbol = projector.params
     region = region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m)
     plane = birds_eye(region, view).to(limit.device) if what.view == "birdseye" else None
-    model = FlatModel(
-        tuple(transports), beams, limit, params, Eye(view, plane, what.shape), torch.zeros(()), torch.ones(()), surface.seen_albedo
-    )
+    model = FlatModel(transports, beams, limit, params, Eye(view, plane, what.shape), torch.zeros(()), torch.ones(()), surface.seen_albedo)
 
     def seen(pose: Tensor) -> Tensor:
         crop = projector.footprint(ProjectionCommand(pose), view, params.footprint_margin_m)

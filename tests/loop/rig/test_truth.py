@@ -59,7 +59,7 @@ def run_on(rig_params: RigParams) -> tuple[Simulation, list[Any], dict[str, Any]
         summary = {**rig.statistics.summary(2), "interruptions": rig.keeper.interruptions, "judged": rig_evaluator.summary()}
     on, off = (each.lights for each in results[-1].exposures)
     evaluator = world.symbol.evaluator
-    metrics = evaluator.evaluate(world.world.added(0.0, on, off, ()), 0.0)
+    metrics = evaluator.evaluate(on, off, 0.0)
     return world, taken, summary, float(metrics.iou)
 
 

@@ -107,7 +107,7 @@ def test_a_run_is_recorded_by_symbol_and_compared_with_the_open_loop():
 
 
 WRONG = {
-    "observer": {"observer": {}},
+    "observer": {"observer": {}, "controller": "thesis_pid"},
     "yaw_deg": {"yaw_deg": 10.0},
     "animation": {"animation": {"kind": "blink"}},
     "controller.x_range_m": toml("{ start.x_m = 45.0, controller.name = 'thesis_pid' }"),
