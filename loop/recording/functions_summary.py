@@ -102,6 +102,8 @@ def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[n
             "eyes_lx_max_after_start_up": eyes_lx(table, START_UP_S),
             "tracks_of_nothing": steps_of_nothing(table, objects),
         }
+    if causes := {name.removeprefix("causes."): column(table, name) for name in known if name.startswith("causes.")}:
+        found["causes"] = {why: {"steps": int((counts > 0).sum()), "count": int(np.nansum(counts))} for why, counts in causes.items()}
     times_s, ms = column(table, "time_s"), np.median(column(table, "processing_ms")) if table.num_rows else math.nan
     found["processing_ms_median"] = ms
     found["times_real_time"] = None if table.num_rows < 2 else ms / 1e3 * (table.num_rows - 1) / (times_s[-1] - times_s[0])

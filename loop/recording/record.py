@@ -10,6 +10,7 @@ import torch
 from luxloop.controllers.functions.commands import MOVEMENTS, CommandParams
 from luxloop.controllers.functions.planner import Planner
 from luxloop.loop.recording.checks import baselines
+from luxloop.loop.simulation.attribution import WHY
 from luxloop.loop.simulation.columns import AIM, CAUSES, CENTROIDS, CUT, ERRORS, LOOKING_OF_TRUTH, POSE, PROJECTION, SYMBOL, loss_name
 from luxloop.loop.simulation.evaluator import Evaluation, SymbolStep
 from luxloop.loop.simulation.lamps import ShiningModule
@@ -21,7 +22,7 @@ from luxloop.world.regulation import beam_rules
 
 # by the last part of a column's name; all other columns are float64
 TYPES = {
-    **dict.fromkeys(("step", "primitives", "detections", "false_positives", "tracks", "pixels", "track"), pa.int64()),
+    **dict.fromkeys(("step", "primitives", "detections", "false_positives", "tracks", "pixels", "track", *WHY), pa.int64()),
     **dict.fromkeys(("beam", "loss"), pa.string()),
     "masked": pa.bool_(),
 }
@@ -142,6 +143,8 @@ def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
     if looks:
         looking = LOOKING | (EYES_PEAK if held else {})
         columns |= {key: of for key, of in looking.items() if simulation.truth is not None or key not in LOOKING_OF_TRUTH}
+    if simulation.scenario.judge_causes and simulation.pipeline is not None and simulation.truth is not None:
+        columns |= {f"causes.{why}": ("1", f"number of {what}") for why, what in WHY.items()}
     of_object = OBJECT | (OBJECT_PEAK if held else {}) | (LOOKED_AT if looks else {})
     columns |= {f"objects.{name}.{key}": of for name in simulation.recorded_ids for key, of in of_object.items()}
     causes = CAUSES if simulation.scenario.judge_causes else {}
@@ -224,6 +227,7 @@ def row(result: Evaluation) -> dict[str, Any]:
         values |= {"oncoming_lx_max": look.oncoming_lx_max, "road_lx_ratio_max": result.road_lx_ratio_max}
         if result.frame is not None:
             values |= {"detections": len(look.found), "false_positives": look.false_positives}
+        values |= {f"causes.{why}": count for why, count in look.causes.items()}
         for name in result.objects:
             keys = [key for key in LOOKED_AT if key != "score" or result.frame is not None]
             values |= {f"objects.{name}.{key}": getattr(look.recognised.get(name), key, None) for key in keys}

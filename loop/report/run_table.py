@@ -94,6 +94,7 @@ def summary_table(values: Summary, files: str) -> Table:  # noqa: C901 (a row a 
         rows["tracks without object"] = (
             f"in {values['tracks_of_nothing']} of {values['steps']} steps a track shows no object, or one of another track"
         )
+    rows |= _of_causes(values.get("causes", {}))
     rows |= _of_lost(values["objects"])
     rows["time a step"] = processing(values, "of one core (median) for all computations of the car")
     rows |= lines(values)
@@ -186,6 +187,17 @@ def _symbol_rows(values: Summary) -> dict[str, str]:
         "overshoot": number(values["overshoot_percent"], ".1f", " %"),
         "lost steps": f"{values['lost_steps']}{_lost_details(values)}",
     }
+
+
+def _of_causes(causes: Mapping[str, Mapping[str, int]]) -> Mapping[str, str]:
+    """Rows of what was dazzled, untracked or false, with the share of each cause; empty without `judge_causes`."""
+    rows = {}
+    for what, unit in (("dazzled", "heads"), ("untracked", "objects"), ("false", "tracks")):
+        counts = {why.removeprefix(f"{what}_"): each["count"] for why, each in causes.items() if why.startswith(what)}
+        if total := sum(counts.values()):
+            shares = ", ".join(f"{why} {count / total:.0%}" for why, count in counts.items() if count)
+            rows[f"{what} {unit}"] = f"{total} over all steps: {shares}"
+    return rows
 
 
 def _causes(values: Summary) -> str:

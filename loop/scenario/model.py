@@ -162,7 +162,8 @@ class Scenario(Params):
     judge_every: int = Field(1, ge=0, le=100_000, description="steps from one evaluation of a symbol under control to the next; 0: none")
     judge_causes: bool = Field(
         False,
-        description="draw held symbols anew in steps of judge_every: in open loop, for the body's true pose, the true road, and both",
+        description="in steps of judge_every, draw held symbols anew, in open loop, for the body's true pose, the true road, and both; "
+        "and say why heads are dazzled, objects have no track, and tracks show no object",
     )
     judge_projections: bool = Field(
         False,
@@ -340,8 +341,8 @@ def _projections(scenario: Scenario) -> Iterator[str]:
     """An evaluation of symbols on the road without symbols or steps."""
     if scenario.judge_projections and not scenario.projections:
         yield "judge_projections: there is no symbol on the road here, so it has no effect; leave it out"
-    if scenario.judge_causes and not scenario.symbols:
-        yield "judge_causes: there is no symbol with a controller here, so it has no effect; leave it out"
+    if scenario.judge_causes and not scenario.symbols and scenario.detector is None:
+        yield "judge_causes: there is no symbol with a controller and no detector here, so it has no effect; leave it out"
     for key in ("judge_causes", "judge_projections"):
         if getattr(scenario, key) and not scenario.judge_every:
             yield f"{key}: judge_every = 0 evaluates no step; set it to 1 or more, or leave {key} out"

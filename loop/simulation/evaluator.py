@@ -23,6 +23,7 @@ from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.road_shape import HERE
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.scenario.model import Scenario, only
+from luxloop.loop.simulation.attribution import attribute
 from luxloop.loop.simulation.columns import MOTION
 from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.detection import DetectionPipeline, Recognition, false_positives, name_of, recognise
@@ -48,15 +49,18 @@ from luxloop.loop.simulation.projections import ProjectionMetrics, projection_me
 from luxloop.loop.simulation.result import Clock, Lights, StepResult, mean_lights, without
 from luxloop.loop.simulation.road_metrics import over_setpoint
 from luxloop.loop.simulation.world import ObjectLight, World, categories
+from luxloop.perception.camera import expose
 from luxloop.perception.detection.detector import Detections
 from luxloop.perception.eye import threshold_increment
 from luxloop.perception.metrics import Metrics
+from luxloop.perception.noise import FrameNoise
 from luxloop.perception.tracking import TrackedBoxes
 from luxloop.world.frames import inverse, transform
 from luxloop.world.headlight.lamp import Commands
 from luxloop.world.regulation import Result
 from luxloop.world.roads.base import Road
 from luxloop.world.scene.vehicle import STANDING, VehiclePath, VehicleState
+from luxloop.world.traffic.tracked import ROAD_USERS
 
 
 def projections_by_cause(
@@ -124,7 +128,8 @@ class FrameDetections:
 
     recognised: by name of each visible object. false_positives: detections scored high enough for a new track that overlap no object,
     None without the truth. eyes_lx_max, eyes_lx_peak: largest illuminance from the lamps on visible heads and windscreens of road users,
-    time mean and peak, None if none is visible. oncoming_lx_max: time mean on oncoming ones due for dimming.
+    time mean and peak, None if none is visible. oncoming_lx_max: time mean on oncoming ones due for dimming. causes: counts by column of
+    `luxloop.loop.simulation.attribution.WHY`; none without evaluation or `judge_causes`.
     """
 
     found: Detections
@@ -134,6 +139,7 @@ class FrameDetections:
     eyes_lx_max: float | None = None
     eyes_lx_peak: float | None = None
     oncoming_lx_max: float | None = None
+    causes: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -150,7 +156,8 @@ class Evaluation(StepResult):
 
     masked: names of objects that must be dark. illuminance: `[height, width]` lx from the lamps alone, None if not metered. luminance:
     `[height, width]` cd/m^2 of all light. Both are in the camera's view, computed on access, None without the truth. objects: recorded
-    objects by name. detections: None without a detector. symbols: symbols for an observer, in the observer's view. held: closed-loop
+    objects by name. detections: None without a detector. since_s: times since which the camera sees objects, by name, with a detector and
+    `judge_causes`. symbols: symbols for an observer, in the observer's view. held: closed-loop
     symbols by name. zones, materials: by name. road_lx_ratio_max: see `over_setpoint`, None in a step without evaluation. oncoming_s:
     start times, by name, of near oncoming road users. probes: illuminance in lx by name, a mean over the exposures. glare: by name of a
     probe that is an eye. projections: symbols on the road as the driver sees them, by name; none in a step without evaluation, or without
@@ -163,6 +170,7 @@ class Evaluation(StepResult):
     luminance: Tensor | None
     objects: Mapping[str, OnObject]
     detections: FrameDetections | None
+    since_s: Mapping[str, float]
     symbols: tuple[ObservedSymbol, ...]
     held: Mapping[str, SymbolStep]
     zones: Mapping[str, InZone]
@@ -222,7 +230,9 @@ class Evaluator:
         clock, now, meter, shares = Clock(), result.now, self._meter, self.scenario.shares
         metered = [] if meter is None else [meter.on_objects(each.start_s, each.lights, each.commands) for each in result.exposures]
         oncoming_s = self._oncoming(now, before)
-        detections = self._detections(result, metered, oncoming_s)
+        due = self.world is not None and bool(self.scenario.judge_every) and result.step % self.scenario.judge_every == 0
+        since_s = self._since(now, before)
+        detections = self._detections(result, metered, oncoming_s, since_s if due else {})
         masked = frozenset(each.name for each in now.objects if must_be_dark(self.scenario.functions, each, now))
         ids = self._ids(detections)
         illuminance, luminance = self._images(result)
@@ -232,7 +242,6 @@ class Evaluator:
             objects = on_objects(self.recorded_ids, frozenset(ids[name] for name in masked & ids.keys()), metered, shares)
             materials = on_materials(self.planner.functions, result.perception.functions, now, ids, meter, illuminance, luminance)
         view = result.sense.view if self.world is None else self.world.view_from_ground(now.time_s)
-        due = self.world is not None and bool(self.scenario.judge_every) and result.step % self.scenario.judge_every == 0
         evaluation = Evaluation(
             **vars(result),
             masked=masked,
@@ -240,6 +249,7 @@ class Evaluator:
             luminance=luminance,
             objects=objects,
             detections=detections,
+            since_s=since_s,
             symbols=self._observed_symbols(result),
             held=self._held(result, due),
             zones=in_zones(self.planner.functions, result.planning.functions, luminance, view),
@@ -309,6 +319,13 @@ class Evaluator:
             return {}
         return near_enough(self._meter.lit(now.time_s), {} if before is None else before.oncoming_s, now.time_s)
 
+    def _since(self, now: Situation, before: Evaluation | None) -> Mapping[str, float]:
+        """Times since which the camera sees objects, by name; empty without a detector, metered light or `judge_causes`."""
+        if self.pipeline is None or self._meter is None or not self.scenario.judge_causes:
+            return {}
+        known = {} if before is None else before.since_s
+        return {each.name: known.get(each.name, now.time_s) for each in self._meter.lit(now.time_s).objects}
+
     def _ids(self, detections: FrameDetections | None) -> Mapping[str, int]:
         """Ids of objects by their names in lighting functions: with a detector, names of tracks."""
         ids = self.recorded_ids
@@ -326,8 +343,12 @@ class Evaluator:
         luminance = world.image(like, lambda part: world.luminance(*shown, part)[0])
         return world.image(like, lambda part: world.illuminance(*shown)[part]) if world.metered else None, luminance
 
-    def _detections(self, result: StepResult, metered: list[ObjectLight], oncoming_s: Mapping[str, float]) -> FrameDetections | None:
-        """Detections in the newest frame, None without a detector. metered: light on objects in each exposure of this step."""
+    def _detections(
+        self, result: StepResult, metered: list[ObjectLight], oncoming_s: Mapping[str, float], since_s: Mapping[str, float]
+    ) -> FrameDetections | None:
+        """Detections in the newest frame, None without a detector. metered: light on objects in each exposure of this step. since_s: of
+        objects in sight, empty without attribution.
+        """
         if self.pipeline is None:
             return None
         perception, classes = result.perception, self.pipeline.classes
@@ -339,7 +360,23 @@ class Evaluator:
         false = false_positives(then, found, self.scenario.tracker.start_score)
         due = [name for name, since_s in oncoming_s.items() if result.now.time_s - since_s >= DUE_S]  # dimming is overdue
         eyes = on_eyes(self.world.given, due, metered, self.scenario.shares)
-        return FrameDetections(found, present, recognise(then, present, found, classes), false, *eyes)
+        recognised = recognise(then, present, found, classes)
+        causes: Mapping[str, int] = {}
+        if since_s:
+            users = [each.name for each in self.world.given if each.category in ROAD_USERS and each.name in since_s]
+            eyes_lx = {name: on_eyes(self.world.given, [name], metered, self.scenario.shares)[2] or 0.0 for name in users}
+            seen_s = {name: result.now.time_s - time_s for name, time_s in since_s.items()}
+            causes = attribute(then, recognised, present, eyes_lx, seen_s, partial(self._find_in_full_light, result))
+        return FrameDetections(found, present, recognised, false, *eyes, causes)
+
+    def _find_in_full_light(self, result: StepResult) -> Detections:
+        """Detections with all pixels on at the time of the newest frame."""
+        assert self.pipeline is not None and self.world is not None
+        camera, taken_s = self.scenario.camera, result.perception.taken_s
+        lights = tuple(Utilisation(torch.ones_like(each.flux)) for each in self.lamps.modules)
+        noise = FrameNoise.of(self.scenario.seed, result.step, 0) if camera.noise else None
+        frame = expose(self.world.luminance(taken_s, lights)[0], camera, noise)
+        return self.pipeline.find(frame / (2**camera.bits - 1), self.world.lit(taken_s))
 
     def _observed_symbols(self, result: StepResult) -> tuple[ObservedSymbol, ...]:
         """Symbols in their observers' views, relative to white pictures; empty without metered light."""

@@ -178,7 +178,7 @@ def test_a_class_with_a_dot_for_its_colon_is_told_how_to_be_written():
     [
         ("snowflake", "detector_frames=off", "detector_frames: there is no detector here"),
         ("snowflake", "detector_every=2", "detector_every: there is no detector here"),
-        ("obl", "judge_causes=true", "judge_causes: there is no symbol with a controller here"),
+        ("gfhb", "judge_causes=true", "judge_causes: there is no symbol with a controller and no detector here"),
         ("obl", "judge_projections=true", "judge_projections: there is no symbol on the road here"),
         ("obl", "detector_frames=off", "detector_frames: there is no symbol that a controller holds here"),
         ("obl", "off_share=0.3", "off_share: no controller holds a symbol here; leave it out"),
