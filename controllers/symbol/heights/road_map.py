@@ -15,6 +15,7 @@ from luxloop.world.frames import inverse, transform
 from luxloop.world.texels import neighbours
 
 PATIENCE = 5  # observations in a row without a lower residual, after which a standing vehicle keeps its best heights: more would fit noise
+LEAST_SPREAD_M2 = 0.1  # of the known heights along the road, below which their slope counts less
 CHANGED = 4.0  # ratio of an observation's residual to that of the kept heights, above which the road has changed
 
 
@@ -120,9 +121,16 @@ class RoadMap:
         )
 
     def over(self, base: Tensor) -> "RoadMap":
-        """The map with another base `[n]` m; heights without information become the base."""
-        mean = self.heights.mean if self.heights.any_information else base
-        return replace(self, heights=replace(self.heights, mean=mean, base=base))
+        """The map with another base `[n]` m, raised and sloped along the road to fit the known heights, so that it continues them.
+
+        Heights without information become the base.
+        """
+        if not self.heights.any_information:
+            return replace(self, heights=replace(self.heights, mean=base, base=base))
+        x, rest, share = self.nodes()[0], self.heights.mean - base, self.heights.information / self.heights.information.sum()
+        away = x - share @ x
+        slope = (share * away) @ rest / ((share * away) @ away).clamp(min=LEAST_SPREAD_M2)
+        return replace(self, heights=replace(self.heights, base=base + share @ rest + slope * away))
 
     def relief_from(self, T_before_now: Tensor, eye: Tensor) -> HeightMap:
         """`move(...).relief()` without carrying the information."""

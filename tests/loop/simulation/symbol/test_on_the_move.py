@@ -287,6 +287,8 @@ def test_the_road_ahead_is_taken_to_bend_on_as_the_ground_does():
     for road_map, mean in ((nothing, base), (known, known.heights.mean)):
         over = road_map.over(base if road_map is nothing else known.brightness)
         assert over.heights.mean.equal(mean), "what is known stays, whatever is expected"
+    rising = replace(nothing, heights=replace(nothing.heights, mean=base + 0.1 + 0.03 * nodes[0], information=torch.ones_like(base)))
+    torch.testing.assert_close(rising.over(base).heights.base, rising.heights.mean, rtol=0, atol=1e-5)  # it goes on as it is known
 
 
 def test_a_nodding_car_keeps_its_symbol_in_place():
