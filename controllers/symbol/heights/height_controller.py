@@ -12,6 +12,7 @@ from torch import Tensor
 from luxloop.controllers.symbol.heights.body_filter import AT_REST, BodyFilter, BodyParams, BodyPoses, BodyPrediction
 from luxloop.controllers.symbol.heights.forward_model import ForwardModel
 from luxloop.controllers.symbol.heights.height_map import Belief, body_over
+from luxloop.controllers.symbol.heights.overlap import TargetOverlap
 from luxloop.controllers.symbol.heights.registration import BLURS, COARSE, FINE, HEIGHT_M, Blur, Heights, Registration, plane_sweep
 from luxloop.controllers.symbol.heights.road_map import RoadMap
 from luxloop.controllers.symbol.sensing.field import aim, elsewhere
@@ -101,14 +102,16 @@ class HeightController:
         self.cached_draw = keeping(1, self._draw)
         self.registration = self.over(HERE)[1]
         self.nothing = self._nothing(self.registration)  # the empty road map of a standing vehicle
+        target_light = self.projector.textures(self.projector.light(self.projector.target))
+        self.overlap = TargetOverlap.of(self.registration.forward_model, target_light, self.projector.params)
         self.eye = camera_view(sensor.camera).origin  # in the body frame
-        self.in_flight = sensor.camera.latency_steps + sensor.camera.latency_spread_steps + 2
         self.tried = torch.linspace(-params.highest_m, params.highest_m, HEIGHTS, device=self.projector.symbol.device)
 
     def start(self, pose: Tensor) -> HeightControllerState:
         """Initial state. pose: `[4]`, first pose of the symbol unless the road has a start height."""
         road_map = self.nothing
         if self.params.start_height_m == 0:
+            road_map = road_map.showing(ProjectionCommand(self.projector.target))  # look there first
             return HeightControllerState(road_map, 0.0, ProjectionCommand(pose))
         mean = road_map.heights.mean + self.params.start_height_m
         believed = _assume_heights(road_map, mean)
@@ -171,8 +174,8 @@ class HeightController:
         if body is not None and observation.ego is not None and road_map.T_ground_plane.equal(HERE):
             body = _preview(body, road_map, body_poses, observation.ego)
         projection, level_rad = self.cached_draw(road_map.bare()) if body_poses.still else None, 0.0 if now is None else now.level_rad
-        if projection is not None and projection.warp is not None:
-            road_map = road_map.showing(projection, self.in_flight)
+        if projection is not None:
+            road_map = road_map.showing(projection)
         if road_map.shape is not state.road_map.shape:
             first = None if road_map.shape is None else projection
         return HeightControllerState(road_map, body_poses.time_s, projection, body, level_rad, first, sought, body_poses.ground)
@@ -194,9 +197,7 @@ class HeightController:
         nothing = self.nothing if body_poses.still else self._nothing(registration).over(road_map.heights.base)
         fine, known = registration.forward_model, road_map.heights
         informed = known.any_information
-        drawn = road_map.candidate_of(observation.shown.projection)
-        late = [] if drawn is None or drawn.heights is known else [drawn.heights.mean]
-        roads = torch.stack([nothing.heights.mean, *[known.mean] * informed, *late])
+        roads = torch.stack([nothing.heights.mean, *[known.mean] * informed])
         expected = fine.luminance(textures, fine.on_pixels(roads))
         contrast, limit = fine.observe_symbol(frames, expected[0])
         seen, least_seen = fine.symbol(contrast, limit), limit
@@ -204,6 +205,18 @@ class HeightController:
         limit = limit / fine.on_pixels(road_map.brightness)  # relative to the assumed road's brightness
         leaves = registration.residual(expected, seen, limit).tolist()
         flat_leaves, before = leaves[0], leaves[informed]
+        drawn = road_map.drawn if body_poses.still else None
+        new = drawn is not None and drawn.projection.shows(observation.shown.projection)
+        if new and lit:
+            if near := road_map.T_ground_plane.equal(HERE) and self.projector.params.target == "appearance":
+                residual = self.overlap.residual(contrast, least_seen)
+            else:
+                residual = before if before < flat_leaves else math.inf
+            road_map = road_map.rate(residual, observation.latency_steps + 1)
+            if road_map.kept is not None and road_map.kept.done:
+                return replace(road_map, heights=road_map.kept.best.heights, brightness=road_map.kept.best.brightness)
+            if near:
+                nothing = replace(nothing, drawn=drawn, kept=road_map.kept)
         if lit and not informed and flat_leaves <= self.params.evidence:
             return nothing  # since no heights can explain so much more
         unsure = not informed or (anew and not road_map.settled and searched < SEARCHES)
@@ -212,11 +225,8 @@ class HeightController:
         if not lit:
             there = fine.symbol(expected[int(informed)], limit) * fine.inside
             return road_map if float(there.sum()) * fine.step < LEAST_LIT_PX else nothing
-        if drawn is not None:
-            residual = leaves[-1] if late else before
-            road_map = road_map.rate(drawn, residual if residual < flat_leaves else math.inf)
-            if road_map.kept is not None and road_map.kept.done:
-                return replace(road_map, heights=road_map.kept.best.heights, brightness=road_map.kept.best.brightness)
+        if (drawn is not None and not new) or (body_poses.still and informed and before <= self.params.evidence):
+            return road_map  # until the newest candidate is observed, or since it explains the image
         # The next observation corrects the rest; more steps fit noise.
         blurs = BLURS if not informed else (COARSE, FINE) if before > self.params.evidence else (FINE,)
         least, best, light = self._refine(registration, known, known.mean, seen, textures, limit, blurs)

@@ -14,14 +14,15 @@ from luxloop.perception.birdseye import Region
 from luxloop.world.frames import inverse, transform
 from luxloop.world.texels import neighbours
 
-PATIENCE = 5  # observations in a row without a lower residual, after which a standing vehicle keeps its best heights: more would fit noise
 LEAST_SPREAD_M2 = 0.1  # of the known heights along the road, below which their slope counts less
-CHANGED = 4.0  # ratio of an observation's residual to that of the kept heights, above which the road has changed
+PATIENCE = 3  # steps without a lower residual after which a standing vehicle keeps the best candidate: more would fit noise
+LEAST_DROP = 0.005  # of the residual, above the noise of its measurement
+CHANGED = 0.05  # rise of the kept candidate's residual by which the road has changed
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """Heights and brightness `[n]`, and the projection for these heights; the residual of its observation rates the heights."""
+    """Heights and brightness `[n]`, and the projection for these heights; the residual of its observation rates them."""
 
     projection: ProjectionCommand
     heights: Heights
@@ -30,16 +31,16 @@ class Candidate:
 
 @dataclass(frozen=True)
 class BestCandidate:
-    """The candidate with the lowest residual, and the number of observations of candidates since."""
+    """The candidate with the lowest residual, and the number of steps since in which others waited for their observation."""
 
     best: Candidate
     residual: float
-    observations: int = 0
+    steps: int = 0
 
     @property
     def done(self) -> bool:
         """Whether the residual has stopped falling."""
-        return self.observations >= PATIENCE
+        return self.steps >= PATIENCE
 
 
 @dataclass(frozen=True)
@@ -48,8 +49,7 @@ class RoadMap:
 
     grid: rows and columns of the nodes. T_ground_plane: `[4, 4]` float64, reference plane of the heights; region and eye are in its frame.
     shape: `[4]` of the relocalised or guessed road. searched: number of searches of the whole image. settled: whether no further search is
-    needed, since two agree or heights explain the image better. drawn: newest candidates of a standing vehicle, for late observations.
-    kept: the best candidate.
+    needed, since two agree or heights explain the image better. drawn: newest candidate of a standing vehicle. kept: the best candidate.
     """
 
     heights: Heights
@@ -61,7 +61,7 @@ class RoadMap:
     shape: Tensor | None = None
     searched: int = 0
     settled: bool = False
-    drawn: tuple[Candidate, ...] = ()
+    drawn: Candidate | None = None
     kept: BestCandidate | None = None
 
     def relief(self) -> HeightMap:
@@ -72,33 +72,28 @@ class RoadMap:
         """The map without the state of searches and candidates; equal maps have the same tensor objects."""
         return RoadMap(self.heights, self.brightness, self.region, self.grid, self.eye, self.T_ground_plane)
 
-    def showing(self, projection: ProjectionCommand, most: int) -> "RoadMap":
-        """The map with a new candidate for its heights. most: number of projections that may still be observed."""
-        if self.drawn and self.drawn[-1].projection.shows(projection):
+    def showing(self, projection: ProjectionCommand) -> "RoadMap":
+        """The map with a candidate for its heights."""
+        if self.drawn is not None and self.drawn.projection.shows(projection):
             return self
-        return replace(self, drawn=(*self.drawn, Candidate(projection, self.heights, self.brightness))[-most:])
+        return replace(self, drawn=Candidate(projection, self.heights, self.brightness))
 
-    def candidate_of(self, projection: ProjectionCommand) -> Candidate | None:
-        """The candidate of a projection, if known."""
-        return next((each for each in reversed(self.drawn) if each.projection.shows(projection)), None)
+    def rate(self, residual: float, steps: int) -> "RoadMap":
+        """The map after an observation of the newest candidate; the best candidate is kept until the road changes.
 
-    def rate(self, drawn: Candidate, residual: float) -> "RoadMap":
-        """The map after an observation of a candidate; the best candidate is kept until the road changes.
-
-        residual: of the candidate; infinite if its heights explain less than a flat road.
+        residual: of the candidate; infinite if its heights explain less than a flat road. steps: from its command to this observation.
         """
-        kept = self.kept
-        if kept is not None and kept.done:
-            if not kept.best.projection.shows(drawn.projection):
-                return self
-            anew = residual > CHANGED * kept.residual
-        elif math.isinf(residual):
+        drawn, kept = self.drawn, self.kept
+        assert drawn is not None
+        if kept is None:
+            return self if math.isinf(residual) else replace(self, kept=BestCandidate(drawn, residual))
+        if kept.best.projection.shows(drawn.projection):
+            changed = kept.done and residual > kept.residual + CHANGED
+            return replace(self, kept=BestCandidate(drawn, residual)) if changed else self
+        if math.isinf(residual):
             return self
-        else:
-            anew = kept is None or residual < kept.residual
-        return replace(
-            self, kept=BestCandidate(drawn, residual) if anew or kept is None else replace(kept, observations=kept.observations + 1)
-        )
+        best = BestCandidate(drawn, residual) if residual < kept.residual else kept
+        return replace(self, kept=replace(best, steps=0 if residual < kept.residual - LEAST_DROP else kept.steps + steps))
 
     def move(self, T_before_now: Tensor, eye: Tensor) -> "RoadMap":
         """The map in another ground frame of pose `[4, 4]` in the present one, for an eye at `[3]` m in the new frame.
@@ -116,7 +111,7 @@ class RoadMap:
             heights=Heights(mean, information, self.heights.base, torch.zeros_like(mean)),
             brightness=brightness,
             eye=eye,
-            drawn=(),
+            drawn=None,
             kept=None,
         )
 

@@ -19,6 +19,9 @@ from luxloop.controllers.symbol.sensing.symbol_sensor import Projection
 from luxloop.loop.scenario.model import DisturbanceParams
 from luxloop.loop.simulation.result import SimulationState
 from luxloop.perception.birdseye import Region
+from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.lamps import archive
+from luxloop.world.lamps.presets import idealised
 from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import frames_of, simulation_of
 
@@ -183,6 +186,27 @@ def test_the_symbol_lies_right_on_an_uneven_road_at_any_latency(more, step):
     # 0.96 is reached at full resolution; half of it leaves edges of half a camera row
     assert seen[step] > 0.9
     assert seen[step] > opened(simulation('{kind="bumps"}')) + 0.05
+
+
+@pytest.fixture(scope="session")
+def coarse_lamp(tmp_path_factory) -> str:
+    """The thesis' lamp with square pixels of 0.1 degrees."""
+    path = tmp_path_factory.mktemp("lamp") / "coarse.npz"
+    archive.save(path, Lamp("coarse", (Module("matrix", idealised(50, 200)),)))
+    return str(path)
+
+
+@pytest.mark.parametrize("latency", [0, 1])
+@pytest.mark.parametrize(
+    ("road", "image"),
+    [('{kind="iso8608", roughness_class="B", seed=344}', "warning_triangle"), ('{kind="speed_bump", height_m=0.042}', "distance_warning")],
+)
+def test_where_pixels_are_too_coarse_for_the_road_the_open_loop_is_shown(coarse_lamp, road, image, latency):
+    symbol = (f"functions.symbol.image={image}", "functions.symbol.x_m=19.0", "functions.symbol.y_m=-1.0")
+    prepared = simulation(road, f"headlight.model={coarse_lamp}", f"camera.latency_steps={latency}", *symbol)
+    _, seen = course(prepared, prepared.start(), 14)
+    # a drawing for the road is 0.02 to 0.03 worse
+    assert min(seen[10:]) > opened(prepared) - 0.005
 
 
 def test_a_flat_road_keeps_next_to_all_of_the_open_loop():
