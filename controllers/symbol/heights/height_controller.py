@@ -16,8 +16,8 @@ from luxloop.controllers.symbol.heights.overlap import TargetOverlap
 from luxloop.controllers.symbol.heights.registration import BLURS, COARSE, FINE, HEIGHT_M, Blur, Heights, Registration, plane_sweep
 from luxloop.controllers.symbol.heights.road_map import RoadMap
 from luxloop.controllers.symbol.sensing.field import aim, elsewhere
-from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.controllers.symbol.sensing.projector import SymbolParams
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
+from luxloop.controllers.symbol.sensing.projector import Projector, SymbolParams
 from luxloop.controllers.symbol.sensing.road_shape import HERE, pose_of_rectangle, ray_lengths
 from luxloop.controllers.symbol.sensing.symbol_sensor import Observation, SymbolSensor
 from luxloop.perception.birdseye import Region
@@ -42,6 +42,7 @@ FALLING_ROAD = (-0.3, -0.03, 0.0, 0.0)  # guessed road shape for a symbol that i
 FARTHEST = 3.0  # of the distance to the plane z = 0: end of lines of sight that meet no road
 ROAD_M = 4e-3  # least deviation of a track's height
 PITCH_RAD = 5e-4  # standard deviation of a predicted pitch
+CELLS, FINER = (16, 16), 16  # cells of an opening pattern, along and across, and its resolution in shares of a cell
 ROUNDING_S = 1e-6  # tolerance of equal times
 
 Cell = Annotated[float, Field(ge=0.02, le=10)]
@@ -67,6 +68,11 @@ class HeightControllerParams(Params):
         0.0025, description="least drop of the residual, as a share of the lit area, by which heights must better a flat road"
     )
     sweep_above: NotNegative = Field(0.01, description="residual, as a share of the lit area, above which a plane sweep tries all heights")
+    opening: Literal["symbol", "pattern"] = Field(
+        "symbol",
+        description="light of a standing vehicle until the first frames arrive: the symbol, or random cells around its target, which show "
+        "the road's heights everywhere",
+    )
     start_height_m: float = Field(0.0, ge=-0.3, le=0.3, description="initial height of the whole road; 0: unknown")
     body: BodyParams = Field(BodyParams(), description="the controller's model of the car's springs and wheels")
 
@@ -104,12 +110,15 @@ class HeightController:
         self.nothing = self._nothing(self.registration)  # the empty road map of a standing vehicle
         target_light = self.projector.textures(self.projector.light(self.projector.target))
         self.overlap = TargetOverlap.of(self.registration.forward_model, target_light, self.projector.params)
+        self.pattern = opening_pattern(self.projector, self.region)
         self.eye = camera_view(sensor.camera).origin  # in the body frame
         self.tried = torch.linspace(-params.highest_m, params.highest_m, HEIGHTS, device=self.projector.symbol.device)
 
     def start(self, pose: Tensor) -> HeightControllerState:
-        """Initial state. pose: `[4]`, first pose of the symbol unless the road has a start height."""
+        """Initial state. pose: `[4]`, first pose of the symbol unless a pattern opens or the road has a start height."""
         road_map = self.nothing
+        if self.params.opening == "pattern":
+            return HeightControllerState(road_map, 0.0, self.pattern)
         if self.params.start_height_m == 0:
             road_map = road_map.showing(ProjectionCommand(self.projector.target))  # look there first
             return HeightControllerState(road_map, 0.0, ProjectionCommand(pose))
@@ -175,7 +184,8 @@ class HeightController:
             body = _preview(body, road_map, body_poses, observation.ego)
         projection, level_rad = self.cached_draw(road_map.bare()) if body_poses.still else None, 0.0 if now is None else now.level_rad
         if projection is not None:
-            road_map = road_map.showing(projection)
+            opens = observation.frames is None and state.projection is not None and state.projection.shows(self.pattern)
+            projection, road_map = (self.pattern, road_map) if opens else (projection, road_map.showing(projection))
         if road_map.shape is not state.road_map.shape:
             first = None if road_map.shape is None else projection
         return HeightControllerState(road_map, body_poses.time_s, projection, body, level_rad, first, sought, body_poses.ground)
@@ -382,6 +392,18 @@ def flat_command(target: Tensor, T_body_ground: Tensor) -> ProjectionCommand:
     centre = T_body_ground.new_tensor([float(target[0]), float(target[1]), 0.0])
     pose, z = pose_of_rectangle(T_body_ground @ pose_of(centre, torch.eye(3).to(centre)))
     return ProjectionCommand(pose.to(target), z.to(target))
+
+
+def opening_pattern(projector: Projector, region: Region) -> ProjectionCommand:
+    """Random cells as bright as the symbol, half of them lit, on a rectangle around the target that is as large as a region."""
+    symbol = projector.symbol
+    lit = torch.rand(CELLS, generator=torch.Generator().manual_seed(0)) < 0.5
+    lit = lit.repeat_interleave(FINER, 0).repeat_interleave(FINER, 1).to(symbol.device)
+    row, col = divmod(int(symbol.argmax()), symbol.shape[1])  # white, as (u, v) of the symbol; beyond 1 it is dark
+    white = [(2 * k + 1) / n - 1 for k, n in ((col, symbol.shape[1]), (row, symbol.shape[0]))]
+    source = torch.where(lit, symbol.new_tensor(white)[:, None, None], 2.0)[None]  # [1, 2, h, w]
+    size_m = (region.x_far_m - region.x_near_m, region.y_left_m - region.y_right_m)
+    return ProjectionCommand(projector.target, warp=Warp(source, torch.ones_like(source[:, 0]), size_m))
 
 
 def _brightness(fine: ForwardModel, expected: Tensor, before: Tensor, contrast: Tensor, seen: Tensor, limit: Tensor) -> Tensor:

@@ -188,6 +188,16 @@ def test_the_symbol_lies_right_on_an_uneven_road_at_any_latency(more, step):
     assert seen[step] > opened(simulation('{kind="bumps"}')) + 0.05
 
 
+def test_a_pattern_shows_the_whole_road_at_the_first_look():
+    opening = "functions.symbol.controller={name='luxloop', opening='pattern'}"
+    prepared = simulation('{kind="bumps"}', "camera.latency_steps=2", opening)
+    states, seen = course(prepared, prepared.start(), 5)
+    shown = [state.symbols["symbol"].controller.projection for state in states]
+    assert all(each.shows(prepared.symbol.controller.pattern) for each in shown[:3])
+    assert max(seen[:3]) < 0.3
+    assert min(seen[3:]) > 0.9, "as without a pattern after several looks"
+
+
 @pytest.fixture(scope="session")
 def coarse_lamp(tmp_path_factory) -> str:
     """The thesis' lamp with square pixels of 0.1 degrees."""
