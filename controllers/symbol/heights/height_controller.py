@@ -169,7 +169,8 @@ class HeightController:
             road_map = road_map.over(self._heights(self._curved_shape(then, body), road_map))
         if body is None or now is None or body_poses.still:
             road_map = self._observe(registration, road_map, observation, body_poses, anew)
-            if body_poses.still and not road_map.heights.any_information and (guess := self._guess_road(state, observation)) is not None:
+            lost = body_poses.still and not road_map.heights.any_information and road_map.choice() is None
+            if lost and (guess := self._guess_road(state, observation)) is not None:
                 road_map, sought = guess, True
         else:
             road_map = road_map.tilt(now.level_rad - state.level_rad, body.pivot_x_m)
@@ -218,15 +219,14 @@ class HeightController:
         drawn = road_map.drawn if body_poses.still else None
         new = drawn is not None and drawn.projection.shows(observation.shown.projection)
         if new and lit:
-            if near := road_map.T_ground_plane.equal(HERE) and self.projector.params.target == "appearance":
+            if self._rates_overlap(road_map):
                 residual = self.overlap.residual(contrast, least_seen)
             else:
                 residual = before if before < flat_leaves else math.inf
             road_map = road_map.rate(residual, observation.latency_steps + 1)
-            if road_map.kept is not None and road_map.kept.done:
-                return replace(road_map, heights=road_map.kept.best.heights, brightness=road_map.kept.best.brightness)
-            if near:
-                nothing = replace(nothing, drawn=drawn, kept=road_map.kept)
+            if (choice := road_map.choice()) is not None:
+                return choice
+            nothing = self._keep(nothing, road_map)
         if lit and not informed and flat_leaves <= self.params.evidence:
             return nothing  # since no heights can explain so much more
         unsure = not informed or (anew and not road_map.settled and searched < SEARCHES)
@@ -284,7 +284,7 @@ class HeightController:
         if not found.found:
             return None
         if float(self._heights(found.shape, self.nothing).abs().max()) < LOW_M[symbol.target]:
-            return None if road_map.shape is None else replace(self.nothing, searched=road_map.searched + 1)
+            return None if road_map.shape is None else self._keep(replace(self.nothing, searched=road_map.searched + 1), road_map)
         return self._road_of_shape(road_map, found.shape)
 
     def _guess_road(self, state: HeightControllerState, observation: Observation) -> RoadMap | None:
@@ -307,7 +307,17 @@ class HeightController:
         plane = aim(shape, symbol, self.projector.modules, self.eye, self.projector.observer)
         nothing = replace(self._nothing(self.over(plane)[1]), T_ground_plane=plane)
         believed = _assume_heights(nothing, self._heights(shape, nothing))
-        return replace(believed, shape=shape, searched=before.searched + 1, settled=abs(rise) < SAME_M)
+        found = replace(believed, shape=shape, searched=before.searched + 1, settled=abs(rise) < SAME_M)
+        return self._keep(found, before)
+
+    def _keep(self, road_map: RoadMap, before: RoadMap) -> RoadMap:
+        """A road map that keeps the best candidate of another one, if all are rated alike."""
+        alike = self._rates_overlap(road_map) and self._rates_overlap(before)
+        return replace(road_map, kept=before.kept) if alike else road_map
+
+    def _rates_overlap(self, road_map: RoadMap) -> bool:
+        """Whether candidates are rated by their overlap with the target: where it can be lit, and appear so on a flat road."""
+        return self.projector.params.target == "appearance" and road_map.T_ground_plane.equal(HERE)
 
     def _curved_shape(self, ego: Ego, body: BodyFilter) -> Tensor:
         """Shape `[4]` of a road with the ground's vertical curvature, the slope rate over the speed; flat before the vehicle has driven

@@ -22,11 +22,10 @@ CHANGED = 0.05  # rise of the kept candidate's residual by which the road has ch
 
 @dataclass(frozen=True)
 class Candidate:
-    """Heights and brightness `[n]`, and the projection for these heights; the residual of its observation rates them."""
+    """A road map, and the projection for it; the residual of its observation rates them."""
 
     projection: ProjectionCommand
-    heights: Heights
-    brightness: Tensor
+    road_map: "RoadMap"
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ class RoadMap:
         """The map with a candidate for its heights."""
         if self.drawn is not None and self.drawn.projection.shows(projection):
             return self
-        return replace(self, drawn=Candidate(projection, self.heights, self.brightness))
+        return replace(self, drawn=Candidate(projection, replace(self, drawn=None, kept=None)))
 
     def rate(self, residual: float, steps: int) -> "RoadMap":
         """The map after an observation of the newest candidate; the best candidate is kept until the road changes.
@@ -94,6 +93,11 @@ class RoadMap:
             return self
         best = BestCandidate(drawn, residual) if residual < kept.residual else kept
         return replace(self, kept=replace(best, steps=0 if residual < kept.residual - LEAST_DROP else kept.steps + steps))
+
+    def choice(self) -> "RoadMap | None":
+        """The map of the best candidate once the search has ended, else None."""
+        kept = self.kept
+        return replace(kept.best.road_map, drawn=self.drawn, kept=kept) if kept is not None and kept.done else None
 
     def move(self, T_before_now: Tensor, eye: Tensor) -> "RoadMap":
         """The map in another ground frame of pose `[4, 4]` in the present one, for an eye at `[3]` m in the new frame.

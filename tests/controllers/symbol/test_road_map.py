@@ -51,7 +51,7 @@ def test_after_looks_that_are_no_better_the_best_heights_are_kept_until_their_ow
         assert road_map.kept is not None and not road_map.kept.done
         road_map = looked(road_map, 0.5 + k, 0.02)
     assert road_map.kept is not None and road_map.kept.done
-    assert road_map.kept.best.heights.mean[0] == 0.25
+    assert road_map.kept.best.road_map.heights.mean[0] == 0.25
     other = looked(road_map, 0.5, 2 * CHANGED)  # light for heights that were not kept
     assert other.kept is not None and other.kept.done
     for residual in (2 * CHANGED, math.inf):  # it explains less, or less than a flat road would
@@ -68,7 +68,7 @@ def test_a_gain_within_the_noise_is_kept_but_does_not_prolong_the_search():
     road_map = looked(NOTHING, 0.25, 0.1)
     gained = looked(road_map, 0.5, 0.1 - LEAST_DROP / 2)
     assert gained.kept is not None and gained.kept.steps == 1
-    assert gained.kept.best.heights.mean[0] == 0.5
+    assert gained.kept.best.road_map.heights.mean[0] == 0.5
     assert looked(gained, 0.5, 0.2).kept is gained.kept, "a further look at the best, before the search ends, tells its noise"
     assert looked(road_map, 0.5, 0.1 - 2 * LEAST_DROP).kept.steps == 0
 
