@@ -235,8 +235,9 @@ class HeightController:
         if not lit:
             there = fine.symbol(expected[int(informed)], limit) * fine.inside
             return road_map if float(there.sum()) * fine.step < LEAST_LIT_PX else nothing
-        if (drawn is not None and not new) or (body_poses.still and informed and before <= self.params.evidence):
-            return road_map  # until the newest candidate is observed, or since it explains the image
+        explained = body_poses.still and informed and before <= self.params.evidence and self._rates_overlap(road_map)
+        if explained or (drawn is not None and not new):
+            return road_map  # since it explains the image, or until the newest candidate is observed
         # The next observation corrects the rest; more steps fit noise.
         blurs = BLURS if not informed else (COARSE, FINE) if before > self.params.evidence else (FINE,)
         least, best, light = self._refine(registration, known, known.mean, seen, textures, limit, blurs)
