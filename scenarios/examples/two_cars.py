@@ -3,6 +3,8 @@
 They stand side by side, 3 m apart, with one lamp and one camera each, on one uneven road. Each point of the symbol gets its illuminance
 from both lamps, in proportion to what each can give there (T 7.5.1). The cars measure in turns: while one switches its symbol on and off,
 the other's stays lit, so that the difference of the frames is the own light alone.
+
+It takes parts of luxloop's internal packages, which may change.
 """
 
 import sys
