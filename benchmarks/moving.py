@@ -131,7 +131,7 @@ def measure(given: Namespace) -> dict[str, Any]:
     jobs = {key: {"base": given.base, "changes": changes, "columns": columns} for key, (_, changes) in all_worlds.items()}
     found, failures = study(compare, jobs, given, [sys.modules[__name__]], load(given.base).digest)
     rows = pd.DataFrame([{"world": key, **all_worlds[key][0], **summary(given, each)} for key, each in found.items()])
-    shown = [OPEN, *columns, *(key for key in ABLATION if key in rows), "visible"]
+    shown = [OPEN, *(each for each in columns if each != FAST), *(key for key in ABLATION if key in rows), "visible"]
     for field in given.fields:
         show(f"Mean IoU by {field}", rows.groupby(field)[shown].mean().rename(columns={OPEN: "open", **ABLATION}).to_dict("index"))
     return {"rows": rows.to_dict("records"), "goals": goals(given, rows), "failures": failures}

@@ -38,14 +38,14 @@ class Sample:
 
 
 Samples = tuple[Sample, ...]  # by time of measurement
-KEPT_S: Final = 1.0  # longer than a frame needs to arrive
+KEPT_S: Final = 2.0  # longer than a frame or a sample needs to arrive, with the longest delay of the light
 
 
 def recent(known: Samples, come: Iterable[Sample]) -> Samples:
-    """Known samples and samples that have come: those of the last KEPT_S, and the newest of each sensor."""
+    """Known samples and samples that have come: those of the last KEPT_S, and the newest of each sensor before them."""
     samples = sorted((*known, *come), key=lambda each: each.measured_s)
-    newest = {each.sensor: each for each in samples}
-    return tuple(each for each in samples if each is newest[each.sensor] or each.measured_s > samples[-1].measured_s - KEPT_S)
+    old = [each for each in samples if each.measured_s <= samples[-1].measured_s - KEPT_S]
+    return (*{each.sensor: each for each in old}.values(), *samples[len(old) :])
 
 
 @dataclass(frozen=True)

@@ -27,9 +27,10 @@ from luxloop.loop.simulation.frames import (
     sample_values,
     write_image,
 )
+from luxloop.loop.simulation.lamps import Lights
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame
 from luxloop.loop.simulation.remote_messages import object_values
-from luxloop.loop.simulation.result import Lights, Reception
+from luxloop.loop.simulation.result import Reception
 from luxloop.perception.camera import CameraParams
 from luxloop.world.arrays import Arrays, write_npz
 from luxloop.world.errors import LuxloopError

@@ -21,7 +21,7 @@ from luxloop.loop.scenario.edits import Edit, add
 from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.frames import PATTERNS as FRAME_FILES
-from luxloop.loop.simulation.result import Lights
+from luxloop.loop.simulation.lamps import Lights
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError

@@ -23,8 +23,8 @@ from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.columns import ERRORS
 from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.evaluator import Evaluation
+from luxloop.loop.simulation.lamps import Lights
 from luxloop.loop.simulation.redrawn import open_loop_lights
-from luxloop.loop.simulation.result import Lights
 from luxloop.loop.simulation.road_metrics import SymbolEvaluator
 from luxloop.loop.simulation.simulated import SimulatedPlant
 from luxloop.loop.simulation.simulation import Simulation

@@ -17,17 +17,17 @@ NEW_S: Final = 0.3  # time allowed to find an object and to dim for it
 CLEAR: Final = 0.5  # least share of an object that is in sight
 
 WHY: Final = {
-    "dazzled_new": "heads and windscreens with more than 1 lx of road users who came in sight less than 0.3 s ago",
-    "dazzled_untracked": "the same of others without a track",
-    "dazzled_tracked": "the same of others with a track",
-    "untracked_new": "objects without a track that came in sight less than 0.3 s ago; here and below of findable objects",
-    "untracked_hidden": "the same of others less than half in sight",
-    "untracked_found": "the same of others that the detector finds in the frame",
-    "untracked_dark": "the same of others that it finds in full light",
-    "untracked_overlooked": "the same of others",
+    "dazzled_new": "road users with more than 1 lx on head or windscreen, in sight for less than 0.3 s",
+    "dazzled_untracked": "road users with more than 1 lx on head or windscreen, in sight for longer, without a track",
+    "dazzled_tracked": "road users with more than 1 lx on head or windscreen, in sight for longer, with a track",
+    "untracked_new": "findable objects without a track, in sight for less than 0.3 s",
+    "untracked_hidden": "findable objects without a track, in sight for longer, less than half of them",
+    "untracked_found": "clear objects without a track that the detector finds in the frame",
+    "untracked_dark": "clear objects without a track that the detector finds in full light only",
+    "untracked_overlooked": "clear objects without a track that the detector finds in no light",
     "false_double": "tracks of an object that another track shows",
-    "false_part": "other tracks of which half lies within an object",
-    "false_nothing": "other tracks",
+    "false_part": "tracks without an object, of which half lies within one",
+    "false_nothing": "tracks without an object, of which less lies within one",
 }  # columns and what they count
 
 

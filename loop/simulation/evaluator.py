@@ -27,7 +27,7 @@ from luxloop.loop.simulation.attribution import attribute
 from luxloop.loop.simulation.columns import MOTION
 from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.detection import DetectionPipeline, Recognition, false_positives, name_of, recognise
-from luxloop.loop.simulation.lamps import LampDriver, attitude
+from luxloop.loop.simulation.lamps import LampDriver, Lights, attitude
 from luxloop.loop.simulation.light_figures import (
     DUE_S,
     InZone,
@@ -46,7 +46,7 @@ from luxloop.loop.simulation.light_figures import (
     veils_at,
 )
 from luxloop.loop.simulation.projections import ProjectionMetrics, projection_metrics
-from luxloop.loop.simulation.result import Clock, Lights, StepResult, mean_lights, without
+from luxloop.loop.simulation.result import Clock, StepResult, mean_lights, without
 from luxloop.loop.simulation.road_metrics import over_setpoint
 from luxloop.loop.simulation.world import ObjectLight, World, categories
 from luxloop.perception.camera import expose
@@ -358,16 +358,23 @@ class Evaluator:
             return FrameDetections(found, present)
         then = self.world.lit(perception.taken_s)
         false = false_positives(then, found, self.scenario.tracker.start_score)
-        due = [name for name, since_s in oncoming_s.items() if result.now.time_s - since_s >= DUE_S]  # dimming is overdue
+        due = [name for name, came_s in oncoming_s.items() if result.now.time_s - came_s >= DUE_S]  # dimming is overdue
         eyes = on_eyes(self.world.given, due, metered, self.scenario.shares)
         recognised = recognise(then, present, found, classes)
-        causes: Mapping[str, int] = {}
-        if since_s:
-            users = [each.name for each in self.world.given if each.category in ROAD_USERS and each.name in since_s]
-            eyes_lx = {name: on_eyes(self.world.given, [name], metered, self.scenario.shares)[2] or 0.0 for name in users}
-            seen_s = {name: result.now.time_s - time_s for name, time_s in since_s.items()}
-            causes = attribute(then, recognised, present, eyes_lx, seen_s, partial(self._find_in_full_light, result))
-        return FrameDetections(found, present, recognised, false, *eyes, causes)
+        known = FrameDetections(found, present, recognised, false, *eyes)
+        return replace(known, causes=self._causes(result, known, metered, since_s)) if since_s else known
+
+    def _causes(
+        self, result: StepResult, known: FrameDetections, metered: list[ObjectLight], since_s: Mapping[str, float]
+    ) -> Mapping[str, int]:
+        """Counts by column of `luxloop.loop.simulation.attribution.WHY`. known: detections and tracks. Others as of `_detections`."""
+        world = self.world
+        assert world is not None
+        users = [each.name for each in world.given if each.category in ROAD_USERS and each.name in since_s]
+        eyes_lx = {name: on_eyes(world.given, [name], metered, self.scenario.shares)[2] or 0.0 for name in users}
+        seen_s = {name: result.now.time_s - time_s for name, time_s in since_s.items()}
+        view, find = world.lit(result.perception.taken_s), partial(self._find_in_full_light, result)
+        return attribute(view, known.recognised, known.tracks, eyes_lx, seen_s, find)
 
     def _find_in_full_light(self, result: StepResult) -> Detections:
         """Detections with all pixels on at the time of the newest frame."""

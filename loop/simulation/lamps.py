@@ -36,6 +36,8 @@ from luxloop.world.lamps.utilisations import RawUtilisation, read_sequence
 from luxloop.world.regulation import Result, check_beam
 from luxloop.world.scene.scene import StreetLamp
 
+Lights = tuple[Utilisation, ...]  # one a module
+
 
 @dataclass(frozen=True, eq=False)
 class MountedModule:

@@ -6,7 +6,8 @@ from torch import Tensor
 
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.loop.simulation.result import Lights, StepResult, without
+from luxloop.loop.simulation.lamps import Lights
+from luxloop.loop.simulation.result import StepResult, without
 from luxloop.loop.simulation.simulation import Simulation
 
 TAKEN = 0.01  # smallest share of a symbol's light that counts as covered

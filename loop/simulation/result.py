@@ -13,13 +13,12 @@ from torch import Tensor
 from luxloop.controllers.functions.commands import FunctionCommands
 from luxloop.controllers.functions.planner import Plan, States
 from luxloop.controllers.pixels.primitives import Primitives
-from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.situation import Situation
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.scenario.model import only
 from luxloop.loop.simulation.controlled import SymbolState
-from luxloop.loop.simulation.lamps import LampPower
+from luxloop.loop.simulation.lamps import LampPower, Lights
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, ExposurePair, Frame, Images
 from luxloop.perception.detection.detector import Detections
 from luxloop.perception.egomotion import Ego, Samples
@@ -30,7 +29,6 @@ from luxloop.world.headlight.lamp import Commands
 OUTSIDE = ("plant", "look")  # parts of a step that run outside a car
 
 
-Lights = tuple[Utilisation, ...]  # of all modules
 Parts = Mapping[str, Sequence[Primitives]]  # primitives by function
 Projections = Mapping[str, ProjectionCommand]  # by symbol shown
 

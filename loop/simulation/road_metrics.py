@@ -16,7 +16,7 @@ from luxloop.controllers.pixels.rthc import trace
 from luxloop.controllers.pixels.secondary import PotentialLight
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
-from luxloop.loop.simulation.lamps import ShiningModule
+from luxloop.loop.simulation.lamps import Lights, ShiningModule
 from luxloop.loop.simulation.world import LitScene, World
 from luxloop.perception.birdseye import BirdsEye, Region, birds_eye, cells, rectify, region_around
 from luxloop.perception.metrics import CELL_M, Metrics, Target, evaluate, target
@@ -26,7 +26,6 @@ from luxloop.world.headlight.lamp import Commands
 from luxloop.world.roads.base import Road
 from luxloop.world.scene.vehicle import STANDING
 
-Lights = tuple[Utilisation, ...]  # one a module
 AREA: Final = (21, 11)  # points along and across the target, for the mean height of the road
 LEAST_LX = 1.0  # on a surface facing the lamps; less is invisible to road users
 

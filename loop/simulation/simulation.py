@@ -25,14 +25,13 @@ from luxloop.loop.simulation.build import at_rest, build
 from luxloop.loop.simulation.controlled import ControlledSymbol, choose_measured
 from luxloop.loop.simulation.detection import DetectionPipeline
 from luxloop.loop.simulation.evaluator import Evaluation, Evaluator
-from luxloop.loop.simulation.lamps import LampDriver, ShiningModule, attitude, in_reach, mean_powers
+from luxloop.loop.simulation.lamps import LampDriver, Lights, ShiningModule, attitude, in_reach, mean_powers
 from luxloop.loop.simulation.part_cache import PartCache
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, ExposurePair, Objects, Plant, close_plant, pair_frames
 from luxloop.loop.simulation.result import (
     Clock,
     Control,
     Drive,
-    Lights,
     Parts,
     Perception,
     Reception,
@@ -192,8 +191,9 @@ class Simulation:
         return SimulationState(step, tracks, self.planner.start(), plant, arrivals, recent((), arrivals.samples), symbols)
 
     def sensor_arrivals(self, time_s: float) -> Arrivals:
-        """The newest sensor samples at a time. Raises LuxloopError unless the plant is the simulated world."""
-        return Arrivals(time_s, samples=world_plant(self.plant, "the light at one time").samples(time_s))
+        """The newest sensor samples for which light of a time is drawn. Raises LuxloopError unless the plant is the simulated world."""
+        by_s = max(time_s - self.scenario.headlight.delay_s, 0.0)
+        return Arrivals(time_s, samples=world_plant(self.plant, "the light at one time").samples(by_s))
 
     def ego(self, samples: Samples, time_s: float) -> Ego | None:
         """Estimated motion of the car at a time, None without wheel speeds."""
@@ -329,8 +329,8 @@ class Simulation:
     def _measure(self, state: SimulationState, sense: Sense, planning: StepPlan, reception: Reception) -> Control:
         """Measure the arrived frame pairs and step the symbol controllers."""
         alone = len(planning.projections) == 1 and len(self.planner.functions) == 1 and self.scenario.lighting.power_limit is None
-        on, *others = (each for each in reception.exposures if each.frame)
-        shown = ExposurePair(on, others[-1] if others else on, sense.ego, alone)
+        framed = [each for each in reception.exposures if each.frame]
+        shown = ExposurePair(framed[0], framed[-1], sense.ego, alone)
         pairs, awaiting, unpaired = pair_frames((*state.awaiting, shown), reception.unpaired) if self.controlled else ([], (), ())
         newer = self.ego(reception.samples, reception.arrivals[-1].time_s)
         symbols = {name: replace(each, turn=state.step) if name in planning.measured else each for name, each in state.symbols.items()}

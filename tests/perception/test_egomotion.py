@@ -149,10 +149,11 @@ def test_an_accelerometer_tells_the_speed_that_wheels_tell_late(like):
     assert float(look(motion, 45, like, wheels=wheels).speed_m_s - now) == pytest.approx(0.5, abs=1e-5)
 
 
-def test_samples_are_in_the_order_of_measurement_and_the_newest_of_each_sensor_is_kept():
-    old, early, late = (Sample("gyro", at_s, 2.0, torch.zeros(3)) for at_s in (0.2, 0.5, 1.4))
+def test_samples_are_in_the_order_of_measurement_and_the_newest_of_each_sensor_before_the_last_two_seconds_is_kept():
+    oldest, old, early, late = (Sample("gyro", at_s, 4.0, torch.zeros(3)) for at_s in (0.1, 0.2, 1.5, 3.4))
     wheels = Sample("wheels", 0.1, 0.2, torch.tensor([9.0, 11.0]))
-    assert recent(recent((), [wheels, late]), [early, old]) == (wheels, early, late) == recent((), [old, early, late, wheels])
+    assert {*recent((), [oldest, old, early, late, wheels])} == {wheels, old, early, late}
+    assert recent(recent((), [wheels, late]), [early, old]) == recent((), [wheels, old, early, late]) == (wheels, old, early, late)
     assert ego_of((late,), CAR, 1.0, PERIOD_S) is None, "nobody knows whether it moves"
     alone = ego_of((wheels,), None, 1.0, PERIOD_S)
     assert alone is not None and float(alone.speed_m_s) == 10 and alone.speed_s == 0.1

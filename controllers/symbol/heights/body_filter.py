@@ -114,7 +114,7 @@ class BodyFilter:
     @classmethod
     def first(cls, params: BodyParams, ego: Ego, reach_m: float, symbol_x_m: float) -> "BodyFilter":
         """The estimate after the first measurements, with a road strip up to reach_m ahead."""
-        ego = next(then for then in (ego_of(samples, ego.vehicle, time_s) for time_s, samples in ego.since(-math.inf)) if then)
+        ego = next(filter(None, (ego_of(samples, ego.vehicle, time_s) for time_s, samples in ego.since(-math.inf))))
         front, rear = 2 * ego.pivot_x_m - ego.rear_x_m, ego.rear_x_m
         start = math.floor((rear - BEHIND_M) / CELL_M) * CELL_M
         count = math.ceil((reach_m - start) / CELL_M)
@@ -154,7 +154,7 @@ class BodyFilter:
         """The estimate after all measurements after time_s and up to by_s."""
         body = self
         for time_s, samples in ego.since(self.time_s, by_s):
-            body = _measured(body, time_s, samples, ego.vehicle)
+            body = _take(body, time_s, samples, ego.vehicle)
         return body
 
     def with_observation(self, time_s: float, pitched_rad: float | None) -> "BodyFilter":
@@ -299,8 +299,8 @@ class BodyFilter:
         return self.start_m + CELL_M * torch.arange((len(self.mean) - BODY) // 2, dtype=torch.float64)
 
 
-@lru_cache(maxsize=64)  # drawings between two frames repeat the measurements since the last one: 9 instead of 17 ms a drawing
-def _measured(body: BodyFilter, time_s: float, samples: Samples, vehicle: VehicleParams | None) -> BodyFilter:
+@lru_cache(maxsize=32)  # drawings between two frames repeat the measurements since the last one: 9 instead of 17 ms a drawing
+def _take(body: BodyFilter, time_s: float, samples: Samples, vehicle: VehicleParams | None) -> BodyFilter:
     """The estimate after the measurements of a time, by the newest sample of each sensor."""
     if (ego := ego_of(samples, vehicle, time_s)) is None:
         return body

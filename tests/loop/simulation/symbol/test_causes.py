@@ -71,9 +71,12 @@ def test_light_that_follows_the_body_between_frames_stays_where_it_was_in_the_fr
 def test_late_light_is_drawn_for_the_samples_that_were_there_in_time():
     fast = "{rate_hz=100, delay_s=0.01}"
     given = [f"sensors={{wheels={fast}, gyro={fast}, attitude={fast}}}", "headlight.delay_s=0.02", "headlight.rate_hz=100", *SMALL]
-    *_, result = simulation_of(load("driving", [*given, "camera.exposure_s=0.004"], steps=4)).run()
+    simulation = simulation_of(load("driving", [*given, "camera.exposure_s=0.004"], steps=4))
+    *_, result = simulation.run()
     assert result.time_s == pytest.approx(0.1)
     assert result.sense.ego.attitude_s == pytest.approx(0.07) and result.reception.samples[-1].measured_s == pytest.approx(0.12)
+    _, alone = simulation.step(simulation.start(3))
+    assert alone.time_s == result.time_s and alone.sense.ego.attitude_s == result.sense.ego.attitude_s, "without the steps before, too"
     first, second, *_ = result.exposures
     assert not torch.equal(first.lights[0].u, second.lights[0].u), "a sample of 0.08 s is there when the second is drawn, at 0.108 s"
 
