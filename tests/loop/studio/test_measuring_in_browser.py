@@ -162,13 +162,18 @@ def test_axes_of_the_wall_have_their_names_where_its_controls_make_it_smaller(pa
 
 def test_a_drag_that_begins_on_a_label_moves_the_wall_and_selects_no_text(page):
     page.execute_script("luxloop.store.set({ viewpoint: 'wall', rule: 'r149-driving-a' })")
-    label = until(page, "return [...document.querySelectorAll('.scene-labels [title]')].find((each) => each.innerText.includes('H-V'))")
-    ActionChains(page).scroll_from_origin(ScrollOrigin.from_element(label), 0, -120).perform()  # nearer, so that there is room to move
     place = "luxloop.scenes[0].renderNow(); return luxloop.scenes[0].pick(5, 5)[1]"
-    before = page.execute_script(place)
-    label = until(page, "return [...document.querySelectorAll('.scene-labels [title]')].find((each) => each.innerText.includes('H-V'))")
-    ActionChains(page).move_to_element(label).click_and_hold().move_by_offset(20, 0).move_by_offset(20, 0).release().perform()
-    assert page.execute_script(place) > before + 0.1  # m to the left
+    label = (
+        "[...document.querySelectorAll('.scene-labels [title]')].find((each) => each.innerText.includes('H-V') && each.checkVisibility())"
+    )
+    whole = page.execute_script(place)
+    ActionChains(page).scroll_from_origin(ScrollOrigin.from_element(until(page, f"return {label}")), 0, -120).perform()
+    before = until(
+        page, f"const now = (() => {{ {place} }})(); return now < {whole} - 0.1 && now"
+    )  # m; nearer, so that there is room to move
+    at = ActionChains(page).move_to_element(until(page, f"return {label}"))
+    at.click_and_hold().move_by_offset(20, 0).move_by_offset(20, 0).release().perform()
+    until(page, f"return (() => {{ {place} }})() > {before} + 0.1")  # m to the left
     assert page.execute_script("return getSelection().toString()") == ""
     page.execute_script("arguments[0].dispatchEvent(new MouseEvent('dblclick'))", one(page, ".scene canvas"))
     page.execute_script("luxloop.store.set({ rule: '', viewpoint: 'orbit' })")
@@ -246,8 +251,9 @@ def test_a_probe_kept_on_an_object_or_the_wall_rides_along(page, served, viewpoi
     if surface == "wall":  # the light of the car's own lamps, which ride along too
         assert lx == pytest.approx(reading["lx"], rel=1e-3)  # the probe's place is rounded to 0.1 mm, its normal to 1e-4
     else:
-        point, normal = page.execute_script(IN_WORLD, surface, probe.position_m, probe.facing)
-        assert point[0] - reading["point_m"][0] > 0.3  # m, of 10 m/s
+        ahead = IN_WORLD.replace("arguments", str([surface, [*probe.position_m], [*probe.facing]]), 1)
+        here = reading["point_m"][0]
+        point, normal = until(page, f"const found = (() => {{ {ahead} }})(); return found[0][0] > {here} + 0.3 && found")  # m, of 10 m/s
         assert lx == pytest.approx(page.execute_script(SHADER, point, normal), rel=0.02)  # what the picture differs by from the library
     page.execute_script("luxloop.store.set({ aim: null })")
     press(page, Keys.CONTROL, "z")
