@@ -38,6 +38,9 @@ class SearchParams(Params):
     footprint_margin_m: Distance = Field(
         0.15, description="unevenness of the road, up and down, that widens the search window around the predicted footprint"
     )
+    visibility_m: float | None = Field(
+        None, ge=10, le=100_000, description="visibility that the controller assumes for the symbol's backscatter; left out: clear air"
+    )
     nothing_below: float = Field(0.08, ge=0, lt=1, description="share of the expected area below which the symbol counts as absent")
     area_low: float = Field(0.45, ge=0, lt=1, description="least share of the expected area that is accepted as the symbol")
     area_high: float = Field(1.9, gt=1, le=1e6, description="largest multiple of the expected area that is accepted as the symbol")

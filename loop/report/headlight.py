@@ -24,8 +24,8 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import REST, Commands, Lamp, ModuleCommand
 from luxloop.world.light.emitters import surface_light
-from luxloop.world.light.volumetric import Medium
 from luxloop.world.rendering.gbuffer import flat_road
+from luxloop.world.scene.air import Medium
 
 DPI = 110
 VISIBILITY_M = 100.0

@@ -17,9 +17,10 @@ from luxloop.world.frames import T_ISO_OPENCV, View, pose, pose_from_degrees
 from luxloop.world.headlight.lamp import Commands, Lamp, direction
 from luxloop.world.headlight.matrix import LUMINANCE
 from luxloop.world.light.emitters import Source, ambient_luminance, sources, surface_light
-from luxloop.world.light.volumetric import Medium, ShadowMap, airlight, shadow_map
+from luxloop.world.light.volumetric import FARTHEST_M, ShadowMap, airlight, shadow_map
 from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
 from luxloop.world.rendering.surfaces import FaceSource, face_source
+from luxloop.world.scene.air import Medium
 from luxloop.world.scene.scene import Scene
 from luxloop.world.scene.triangles import Triangles
 
@@ -27,7 +28,6 @@ SIDES = ("left", "right")
 SHADOW_PX = 1024  # width of a shadow map
 BIRDSEYE_X_M, BIRDSEYE_Y_M, BIRDSEYE_CELL_M = (-6.0, 100.0), (-20.0, 20.0), 0.1
 BIRDSEYE_HEIGHT_M = 300.0  # of the pinhole: it displaces the top of a body 1.5 m high, 50 m aside, by 25 cm
-FARTHEST_M = 400.0  # length of a ray through fog that hits nothing
 NIGHT_LX = 0.03  # ambient light of a clouded night near a town, a tenth of the full moon's
 NEAR_BY = 0.05  # tolerance of a pixel's place on the road, relative to its distance, since a row of pixels spans metres far ahead
 LUMINANCE_OF_RGB = np.array(LUMINANCE, np.float32)
@@ -122,30 +122,26 @@ class Road:
 
         Raises LuxloopError if the scenario names missing data.
         """
-        surfaces = gbuffer(self._triangles, view, self._face_source.face_ids(self._triangles, view))
-        extinction = air.extinction_per_m if air else 0.0
-        illuminance, luminance = surface_light(surfaces, car.sources, self._shades, extinction)
+        surfaces = gbuffer(self._triangles, view, self._face_source.face_ids(self._triangles, view)).in_air(air, view.origin)
+        illuminance, luminance = surface_light(surfaces, car.sources, self._shades)
         others = self._scene.spotlights_at(self.time_s)
         luminance = luminance + ambient_luminance(surfaces, self._scene.ambient_lx, self._scene.street_lamps, others)
         if air:
-            luminance = self._through(air, luminance, surfaces, view, car.sources)
+            luminance = luminance + self._airlight(air, surfaces, view, car.sources)
         total = np.where(surfaces.object_id.numpy() < 0, np.nan, grey(picture(illuminance)))
         return RoadView(view, surfaces, total, picture(luminance))
 
-    def _through(self, air: Medium, luminance: Tensor, surfaces: GBuffer, view: View, lit: Sequence[Source]) -> Tensor:
-        """A luminance attenuated by the air, plus the light that the air scatters towards the eye, of the lamps and of an even sky."""
+    def _airlight(self, air: Medium, surfaces: GBuffer, view: View, lit: Sequence[Source]) -> Tensor:
+        """Luminance `[..., H, W]` in cd/m^2 of the lamps' light that the air scatters towards the eye."""
         rays = view.rays().flatten(1)
         directions = (rays / rays.norm(dim=0)).float()
         distance = (surfaces.position.flatten(1) - view.origin[:, None]).norm(dim=0).float()
         distance = torch.where(surfaces.object_id.flatten() >= 0, distance, FARTHEST_M)
-        through = torch.exp(-air.extinction_per_m * distance)
-        # near the horizontal half of the scattered light comes from above, whatever the asymmetry: from a sky of luminance E / pi
-        sky = air.scattering_per_m / air.extinction_per_m * self._scene.ambient_lx / (2 * math.pi)
-        veiled = luminance.flatten(-2) * through + sky * (1 - through)
+        total = distance.new_zeros(())
         for source in lit:
             shadow = None if self._shades is None else self._shadow(source)
-            veiled = veiled + airlight(source, view.origin, directions, distance, air, shadow=shadow)
-        return veiled.view(luminance.shape)
+            total = total + airlight(source, view.origin, directions, distance, air, shadow=shadow)
+        return total.unflatten(-1, surfaces.albedo.shape) if lit else total
 
     @property
     def _shades(self) -> Triangles | None:

@@ -34,6 +34,7 @@ from luxloop.world.params import NotNegative, Params, PlainName, Seed, ascending
 from luxloop.world.plugin import PATTERN, Name, colon_remedy, refuse_code
 from luxloop.world.regulation import beam_rules
 from luxloop.world.roads.shapes import Flat, RoadParams
+from luxloop.world.scene.air import AirParams
 from luxloop.world.scene.scene import StreetLamp
 from luxloop.world.scene.vehicle import VehicleParams
 from luxloop.world.traffic.generator import TrafficParams
@@ -147,6 +148,7 @@ class Scenario(Params):
     objects: tuple[ObjectParams, ...] = Field((), description="objects on the road")
     traffic: TrafficParams | None = Field(None, description="further objects, drawn from a seed; left out: none")
     light: LightParams = Field(LightParams(), description="ambient light and street lamps")
+    air: Annotated[tuple[AirParams, ...], ascending("time_s")] = Field((), description="fog, in ascending time; left out: clear air")
     headlight: HeadlightParams = Field(HeadlightParams(), description="the lamps")
     modules: Mapping[str, ModuleSourceParams] = Field({}, description="sources of modules' light, by module")
     camera: CameraParams = Field(CameraParams(), description="the camera")

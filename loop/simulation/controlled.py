@@ -144,7 +144,7 @@ class ControlledSymbol:
         latency_steps: steps since the pair was exposed.
         """
         shown = Projection(pair.on.projections[name], self.light(pair.on.lights, pair.off.lights), pair.ego)
-        frames = pair.images if pair.measures(name) else None
+        frames = self.sensor.compensate(pair.images, shown.lights) if pair.measures(name) else None
         bias = None if pair.alone or frames is None else self._bias(shown)
         if bias is not None and not bool(bias.isfinite().all()):
             frames, seen = None, replace(self.sensor.lost(shown.projection.pose, ExtractionStatus.COVERED), shape=state.shape)

@@ -307,13 +307,14 @@ def _arriving(
             continue
         T_world_headlight = lit.vehicle.T_world_body @ module.turned(command)
         away = T_world_headlight[:3, 3:] - place
-        per_cd = float(lux_per_cd(away, normal))
+        per_cd, medium = float(lux_per_cd(away, normal)), lit.scene.air_at(lit.time_s)
         near = TOLERANCE_M if probe.frame in ("world", "car") else INSIDE_M
         if per_cd and bool(sees(lit.triangles, T_world_headlight[:3, 3], place, near)):
             texture = module.textures.light_texture(light.u).cpu()
             ray = T_world_headlight[:3, :3].T @ -away
             lx = command.intensity * float(module.headlight.intensity(texture, ray)) * per_cd
-            found.append((lx, per_cd / float(lux_per_cd(away))))
+            through = 1.0 if medium is None else float(medium.transmittance(away.norm()))
+            found.append((through * lx, per_cd / float(lux_per_cd(away))))
     return found
 
 

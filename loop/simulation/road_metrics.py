@@ -57,7 +57,8 @@ class SymbolEvaluator:
 
     def metrics(self, lights: Lights, time_s: float) -> Metrics:
         """Metrics of an on exposure in the dark at a time, in the camera's view."""
-        return evaluate(self.world.lit(time_s).luminance(lights), self.plane_at(time_s), self.goal)
+        lit = self.world.lit(time_s)
+        return evaluate(lit.through_clear_air(lit.luminance(lights)), self.plane_at(time_s), self.goal)
 
     def evaluate(self, on: Lights, off: Lights, time_s: float, commands: Commands = ()) -> Metrics:
         """Metrics of the symbol at a time. on, off: light with and without it."""
@@ -73,7 +74,7 @@ class SymbolEvaluator:
             return self.world.added(time_s, on, off, commands)
         seen = self.world.through(self.view, time_s)
         with_symbol, without = (seen.light([each.u for each in lights], commands)[1] for lights in (on, off))
-        return with_symbol - without
+        return seen.through_clear_air(with_symbol - without)
 
     @cached_property
     def area(self) -> Tensor:

@@ -67,7 +67,7 @@ def build_scene(scenario: Scenario, motion: Motion = STANDING, cache: PartCache 
     else:
         others_y_m = tuple(y for each in objects for y in each.track.T_world_body[:, 1, 3].tolist())
         ground = cache("ground", RoadTiles, road, albedo, texture, motion.range_y_m, others_y_m, sight_m)
-    return cache("scene", Scene, (ground, *objects), scenario.light.ambient_lx, scenario.light.street_lamps)
+    return cache("scene", Scene, (ground, *objects), scenario.light.ambient_lx, scenario.light.street_lamps, scenario.air)
 
 
 def body_of(item: ObjectParams, road: Road) -> Body | Figure:
@@ -157,7 +157,9 @@ class SimulatedPlant:
             luminance = luminance + (ambient - 1) * base
         t_s = self._at(len(self.shares) * step + frame * self.drawings)
         for lamp in self.disturbances.oncoming_in(step, frame):
-            luminance = luminance + glare(self.world.view_at(t_s).within(*part), lamp.position_at(t_s), lamp, device)
+            view, position, medium = self.world.view_at(t_s), lamp.position_at(t_s), self.world.scene.air_at(t_s)
+            dimmed = 1.0 if medium is None else float(medium.transmittance((position - view.origin).norm()))
+            luminance = luminance + dimmed * glare(view.within(*part), position, lamp, device)
         noise = FrameNoise.of(self.seed, step, frame).part(part, luminance) if camera.noise else None
         return expose(luminance, camera, noise if noise is None or noisy == 1 else noisy * noise)
 

@@ -16,13 +16,15 @@ from luxloop.perception.camera import CameraParams, average_rows, camera_view
 from luxloop.perception.detection.detector import Detections, TruthParams
 from luxloop.perception.ground_truth import Box, GroundTruth, ground_truth, material_picture, part_mask, part_picture
 from luxloop.world.caches import Part, PartialImage, keeping
-from luxloop.world.frames import View
+from luxloop.world.frames import View, inverse
 from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand
+from luxloop.world.light.backscatter import Backscatter
 from luxloop.world.light.emitters import ambient_luminance
 from luxloop.world.light.illumination import DirectTransport, LightTransport, Shadows, added_light, lit_surface, transport
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.rendering.surfaces import FaceSource, SurfaceSource, surface_source
+from luxloop.world.scene.air import Medium
 from luxloop.world.scene.scene import Scene
 from luxloop.world.scene.triangles import NOTHING, Triangles
 from luxloop.world.scene.vehicle import STANDING, Motion, VehicleState
@@ -31,6 +33,7 @@ from luxloop.world.traffic.tracked import EYES, ROAD_USERS, Category
 
 Photometry = tuple[Tensor | None, Tensor]  # illuminance in lx and luminance in cd/m^2
 KEPT_VIEWS = 4  # on and off frame, before and after a change
+KEPT_MEDIA = 2  # before and after a change of visibility
 KEPT_PARTS = 2  # image parts of a scene: around the symbols, around objects
 KEPT_LIGHTS = 3  # exposures of a scene: on, off, and off without one symbol
 MARGIN_PX = 1  # around objects, because OpenGL rounds their corners
@@ -48,7 +51,7 @@ class LitScene:
 
     eye: the whole view. part: rows and columns of the whole view, None for all. render: renders the surfaces of a part of a view.
     samples: rendered rows in a pixel. direct: whether each light is traced separately instead of by a transport matrix. given:
-    parameters of the objects 1, 2, ...
+    parameters of the objects 1, 2, ... backscatter: of the lamps in the whole view, None in clear air.
     """
 
     time_s: float
@@ -61,6 +64,7 @@ class LitScene:
     given: tuple[ObjectParams, ...]
     samples: int
     direct: bool
+    backscatter: Backscatter | None = None
     part: Part | None = None
 
     def __post_init__(self) -> None:
@@ -78,7 +82,8 @@ class LitScene:
     def rendered(self) -> GBuffer:
         """Surfaces with `samples` rows in each pixel."""
         part = self.part and (slice(self.samples * self.part[0].start, self.samples * self.part[0].stop), self.part[1])
-        return self.render(self.triangles, self.eye.with_rows(self.samples), part).to(self.modules[0].T_body_headlight.device)
+        found = self.render(self.triangles, self.eye.with_rows(self.samples), part).to(self.modules[0].T_body_headlight.device)
+        return found.in_air(self.scene.air_at(self.time_s), self.eye.origin)
 
     @cached_property
     def surfaces(self) -> GBuffer:
@@ -100,7 +105,7 @@ class LitScene:
 
     @cached_property
     def base(self) -> Tensor:
-        """Luminance `[height, width]` in cd/m^2 without the lamps."""
+        """Luminance `[height, width]` in cd/m^2 without the lamps, of surfaces and air."""
         scene = self.scene
         lit = ambient_luminance(self.rendered, scene.ambient_lx, scene.street_lamps, scene.spotlights_at(self.time_s))
         return average_rows(lit, self.samples)
@@ -131,7 +136,9 @@ class LitScene:
         return Shadows(self.rendered.position.flatten(1), torch.tensor(lamp_m, dtype=torch.float64), self.triangles)
 
     def shown(self, lights: Sequence[Utilisation], commands: Commands = (), rows: slice | None = None) -> Tensor:
-        """Luminance `[..., height, width]` in cd/m^2 of all light. lights: utilisations `[..., n_p]`, one a module. rows: None for all."""
+        """Luminance `[..., height, width]` in cd/m^2 of all light but backscatter. lights: utilisations `[..., n_p]`, one a module. rows:
+        None for all.
+        """
         if all(light.band is not None and light.band.stop <= light.band.start for light in lights):
             return self.base if rows is None else self.base[rows]
         if not commands:
@@ -145,7 +152,7 @@ class LitScene:
         return next((found for shown, commanded, found in self._exposures if shown is lights and commanded == commands), None)
 
     def expose(self, lights: tuple[Utilisation, ...], commands: Commands, metered: bool) -> Photometry:
-        """Illuminance in lx from the lamps alone, None unless metered, and luminance in cd/m^2 of all light, `[height, width]`."""
+        """Illuminance in lx from the lamps alone, None unless metered, and luminance in cd/m^2 as of `shown`, `[height, width]`."""
         if (found := self.find_exposure(lights, commands)) is None:
             if metered:
                 arriving, leaving = self.light([light.u for light in lights], commands)
@@ -158,6 +165,16 @@ class LitScene:
     def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
         """Luminance `[..., height, width]` in cd/m^2 of these lights alone, with all modules at rest."""
         return added_light(self.transports, lights, torch.zeros_like(self.base))
+
+    def through_clear_air(self, luminance: Tensor) -> Tensor:
+        """Luminance `[..., height, width]` of surfaces in the lamps' light, as it would be without extinction from lamps and to the eye."""
+        if (haze := self.surfaces.haze) is None:
+            return luminance
+        T_world_body = self.vehicle.T_world_body
+        lamps = torch.stack([(T_world_body @ each.T_body_headlight.to(T_world_body))[:3, 3] for each in self.modules]).mean(0)
+        distance = (self.surfaces.position - lamps.to(self.surfaces.position)[:, None, None]).norm(dim=0)
+        transmittance = haze.transmittance * haze.medium.transmittance(distance)
+        return luminance / transmittance.where(transmittance > 0, 1.0)
 
     def light(self, lights: Sequence[Tensor], commands: Commands = ()) -> tuple[Tensor, Tensor]:
         """Illuminance in lx at pixel centres, and luminance in cd/m^2 of pixels, both `[height, width]`, from the lamps alone.
@@ -174,6 +191,21 @@ class LitScene:
             leaving.index_add_(0, pixels, each.reflect(lx, factor))
             arriving.index_add_(0, pixels, lx * each.central(samples))
         return arriving.view_as(self.surfaces.albedo), leaving.view_as(self.surfaces.albedo)
+
+    def backscattered(self, lights: Sequence[Utilisation], commands: Commands = (), part: Part | None = None) -> Tensor | float:
+        """Luminance `[..., h, w]` in cd/m^2 of the lamps' light in the air, at a part of the whole view, None for all; 0.0 without any."""
+        if self.backscatter is None:
+            return 0.0
+        lit = (
+            (
+                module.headlight,
+                module.turned(command),
+                module.textures.light_texture(light.u if command.intensity == 1 else command.intensity * light.u, light.band),
+            )
+            for module, light, command in zip(self.modules, lights, commands or (REST,) * len(lights), strict=True)
+            if not (light.band is not None and light.band.stop <= light.band.start) and bool(light.u.any())
+        )
+        return self.backscatter.luminance(lit, part or self.eye.whole)
 
     @cached_property
     def objects(self) -> tuple[GroundTruth, ...]:
@@ -299,6 +331,7 @@ class World:
         self.view = camera_view(camera)
         self.device = self.modules[0].T_body_headlight.device
         self._lit: OrderedDict[Any, LitScene] = OrderedDict()
+        self._backscatter = keeping(KEPT_MEDIA, self._backscatter_of)
         self._triangles = NOTHING  # the newest; bodies that have not moved are reused
 
     @cached_property
@@ -329,6 +362,14 @@ class World:
 
         part: rows and columns of the image, None for all.
         """
+        found, base = self._without_backscatter(time_s, lights, commands, part)
+        lit = self.lit(time_s)
+        return found if lit.backscatter is None else found + lit.backscattered(lights, commands, part), base
+
+    def _without_backscatter(
+        self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands, part: Part | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """As `luminance`, without the lamps' light in the air."""
         lit = self.lit(time_s)
         if part is not None and self.moving and not lit.is_rendered:  # of a standing scene, parts are cut from the whole, which lasts
             lit, part = lit.within(part), None
@@ -357,8 +398,9 @@ class World:
         return ObjectLight(surfaces.object_id[0], part_mask(surfaces, lit.triangles, EYES)[0], lx)
 
     def added(self, time_s: float, lights: tuple[Utilisation, ...], others: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
-        """Luminance `[height, width]` in cd/m^2 of lights minus that of others, at a time."""
-        return self.luminance(time_s, lights, commands)[0] - self.luminance(time_s, others, commands)[0]
+        """Luminance `[height, width]` in cd/m^2 of surfaces in these lights minus that in others, at a time, as seen in clear air."""
+        on, off = (self._without_backscatter(time_s, each, commands)[0] for each in (lights, others))
+        return self.lit(time_s).through_clear_air(on - off)
 
     def illuminance(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
         """Illuminance `[height, width]` lx from the lamps alone at pixel centres, at a time; also if the world is not metered."""
@@ -373,15 +415,20 @@ class World:
         """
         vehicle, direct = self.motion.at(t_s), direct or self.moving or self.metered
         where = () if self.motion is STANDING else tuple(vehicle.T_world_body.flatten().tolist())
-        key = self.scene.key_at(t_s), where, direct
+        medium = self.scene.air_at(t_s)
+        key = self.scene.key_at(t_s), where, direct, medium
         if key not in self._lit:
             self._triangles = triangles = self.scene.at(t_s, vehicle.T_world_ground, self._triangles)
             eye, render, parts = self.view_at(t_s), self.surfaces.gbuffer, (self.scene, self.modules, self.given)
-            self._lit[key] = LitScene(t_s, eye, vehicle, triangles, render, *parts, self.camera.oversampling, direct)
+            backscatter = None if medium is None else self._backscatter(medium)
+            self._lit[key] = LitScene(t_s, eye, vehicle, triangles, render, *parts, self.camera.oversampling, direct, backscatter)
             if len(self._lit) > KEPT_VIEWS:
                 self._lit.popitem(last=False)
         self._lit.move_to_end(key)
         return self._lit[key]
+
+    def _backscatter_of(self, medium: Medium) -> Backscatter:
+        return Backscatter(medium, self.view)
 
     @property
     def instances(self) -> tuple[str, ...]:
@@ -400,5 +447,8 @@ class World:
 
     def through(self, view: View, t_s: float) -> LitScene:
         """The scene at a time in another view. view: in the ground frame of that time."""
+        lit = self.lit(t_s)
         eye = replace(view, T_world_view=self.motion.at(t_s).T_world_ground @ view.T_world_view)
-        return replace(self.lit(t_s), eye=eye, samples=1, direct=True)
+        from_body = replace(eye, T_world_view=inverse(lit.vehicle.T_world_body) @ eye.T_world_view)
+        backscatter = lit.backscatter and Backscatter(lit.backscatter.medium, from_body)
+        return replace(lit, eye=eye, samples=1, direct=True, backscatter=backscatter)

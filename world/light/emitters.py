@@ -11,7 +11,7 @@ from luxloop.world.frames import unit
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, direction
 from luxloop.world.light.illumination import illuminance, lit_surface, luminance, lux_per_cd
-from luxloop.world.rendering.gbuffer import GBuffer
+from luxloop.world.rendering.gbuffer import GBuffer, Haze
 from luxloop.world.scene.body import Spotlight
 from luxloop.world.scene.scene import StreetLamp
 from luxloop.world.scene.triangles import Triangles
@@ -20,29 +20,37 @@ from luxloop.world.scene.triangles import Triangles
 def ambient_luminance(
     gbuffer: GBuffer, ambient_lx: float, street_lamps: Sequence[StreetLamp] = (), spotlights: Sequence[Spotlight] = ()
 ) -> Tensor:
-    """Luminance `[height, width]` in cd/m^2 of Lambertian surfaces in ambient light, plus that of luminous ones.
+    """Luminance `[height, width]` in cd/m^2 of Lambertian surfaces in ambient light, plus that of luminous ones, and of the air.
 
-    ambient_lx: illuminance of a surface that faces up; others see the share (1 + n_z) / 2 of a uniform sky. Street lamps and spotlights (of
-    the world, `[3]` vectors) throw no shadows.
+    ambient_lx: illuminance of a surface that faces up, also in fog; others see the share (1 + n_z) / 2 of a uniform sky. Street lamps and
+    spotlights (of the world, `[3]` vectors) throw no shadows and do not light the air.
     """
     albedo = gbuffer.albedo.flatten()
     there = torch.nonzero(albedo)[:, 0]  # the M pixels that reflect
     position, normal = (each.flatten(1).index_select(1, there) for each in (gbuffer.position, gbuffer.normal))  # [3, M]
-    illuminance = ambient_lx * (1 + normal[2]) / 2
+    illuminance, haze = ambient_lx * (1 + normal[2]) / 2, gbuffer.haze
     for lamp in street_lamps:
         away = torch.tensor(lamp.position_m).to(position)[:, None] - position
-        illuminance = illuminance + lamp.intensity_cd * lux_per_cd(away, normal)
+        illuminance = illuminance + lamp.intensity_cd * _lux_per_cd(away, normal, haze)
     for spot in spotlights:
         away = spot.position.to(position)[:, None] - position
-        factor = lux_per_cd(away, normal)
+        factor = _lux_per_cd(away, normal, haze)
         lit = torch.nonzero(factor)[:, 0]  # what faces the lamp
         illuminance.index_add_(0, lit, spot_intensity(spot, away.index_select(1, lit).neg_()) * factor[lit])
     reflected = albedo[there] * illuminance / math.pi
     luminance = torch.zeros_like(albedo).index_copy(0, there, reflected).view_as(gbuffer.albedo)
-    if gbuffer.finish is None:
+    if gbuffer.finish is not None:
+        own = torch.tensor([each.luminance_cd_m2 for each in gbuffer.finish.materials]).to(luminance)
+        luminance = luminance + own[gbuffer.finish.material]
+    if haze is None:
         return luminance
-    own = torch.tensor([each.luminance_cd_m2 for each in gbuffer.finish.materials]).to(luminance)
-    return luminance + own[gbuffer.finish.material]
+    return haze.transmittance * luminance + (1 - haze.transmittance) * haze.medium.horizon(ambient_lx)
+
+
+def _lux_per_cd(away: Tensor, normal: Tensor, haze: Haze | None) -> Tensor:
+    """As `lux_per_cd`, through the air."""
+    clear = lux_per_cd(away, normal)
+    return clear if haze is None else clear * haze.medium.transmittance(away.norm(dim=0))
 
 
 def spot_intensity(spot: Spotlight, ray: Tensor) -> Tensor:
@@ -98,23 +106,16 @@ def wall_illuminance(lit: Sequence[Source], T_world_wall: Tensor, h_deg: Tensor,
     return total.unflatten(-1, h_deg.shape)
 
 
-def surface_light(
-    gbuffer: GBuffer, lit: Sequence[Source], triangles: Triangles | None = None, extinction_per_m: float = 0.0
-) -> tuple[Tensor, Tensor]:
+def surface_light(gbuffer: GBuffer, lit: Sequence[Source], triangles: Triangles | None = None) -> tuple[Tensor, Tensor]:
     """Illuminance in lx and luminance in cd/m^2, `[..., height, width]`, of a view's surfaces from all sources together.
 
-    Leading dimensions are the textures'. triangles: of bodies that cast shadows. extinction_per_m: of the air between source and surface.
+    Leading dimensions are the textures'. triangles: of bodies that cast shadows.
     """
     batch = lit[0].texture.shape[:-2] if lit else ()
     arriving = gbuffer.albedo.new_zeros(*batch, gbuffer.albedo.numel())
     leaving = torch.zeros_like(arriving)
     for source in lit:
         surface = lit_surface(gbuffer, source.headlight, source.T_world_source, triangles)
-        light, shine = illuminance(surface, source.texture), luminance(surface, source.texture)
-        if extinction_per_m:
-            away = gbuffer.position.flatten(1)[:, surface.index] - source.T_world_source[:3, 3:].to(gbuffer.position)
-            through = torch.exp(-extinction_per_m * (away * away).sum(0).sqrt())
-            light, shine = light * through, shine * through
-        arriving[..., surface.index] += light
-        leaving[..., surface.index] += shine
+        arriving[..., surface.index] += illuminance(surface, source.texture)
+        leaving[..., surface.index] += luminance(surface, source.texture)
     return arriving.unflatten(-1, gbuffer.albedo.shape), leaving.unflatten(-1, gbuffer.albedo.shape)

@@ -38,7 +38,8 @@ class LitSurface:
     """The part of a G-buffer that the light of a lamp reaches, M pixels in image order.
 
     index: `[M]` int64, flat image index. texel: `[4, M]` int64 and weight: `[4, M]`, bilinear neighbours in the light texture.
-    factor: `[M]`, cos / d^2 in 1/m^2. luminance_factor: `[M]`, albedo of the Lambertian surface that would look as bright.
+    factor: `[M]`, cos / d^2 in 1/m^2, less what the air takes. luminance_factor: `[M]`, albedo of the Lambertian surface that would look
+    as bright through clear air.
     """
 
     index: Tensor
@@ -74,9 +75,13 @@ def lit_surface(
     lit = torch.nonzero(factor > 0)[:, 0]
     if triangles is not None:
         lit = lit[sees(triangles, T_world_headlight[:3, 3], position[:, index[lit]])]
-    index = index[lit]
+    index, away, factor = index[lit], away.index_select(1, lit), factor[lit]
     texel, weight = bilinear(headlight, row[index], col[index])
-    return LitSurface(index, texel, weight, factor[lit], _luminance_factor(gbuffer, index, away.index_select(1, lit)))
+    beta = _luminance_factor(gbuffer, index, away)
+    if (haze := gbuffer.haze) is not None:
+        factor = factor * haze.medium.transmittance(away.norm(dim=0))
+        beta = beta * haze.transmittance.flatten()[index]
+    return LitSurface(index, texel, weight, factor, beta)
 
 
 def _luminance_factor(gbuffer: GBuffer, index: Tensor, away: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ from luxloop.world.frames import View, inverse, transform, unit
 from luxloop.world.materials.brdf import LAMBERTIAN, Material
 from luxloop.world.materials.library import MATERIALS
 from luxloop.world.rendering.raycast import hits_on
+from luxloop.world.scene.air import Medium
 from luxloop.world.scene.triangles import Instance, Triangles
 
 
@@ -26,13 +27,21 @@ class Finish:
 
 
 @dataclass(frozen=True)
+class Haze:
+    """Air in front of a view's surfaces. transmittance: `[height, width]`, from the surface to the eye, 0 where there is no surface."""
+
+    medium: Medium
+    transmittance: Tensor
+
+
+@dataclass(frozen=True)
 class GBuffer:
     """Surfaces at the pixel centres of a view; all zero where there is none.
 
     position: `[3, height, width]` m, world. normal: `[3, height, width]`, unit, world, on the side that is seen of two-sided bodies.
     albedo: `[height, width]`. object_id: `[height, width]` int32, index of the body in the scene, -1 = none.
     finish: None where all surfaces are Lambertian. part: `[height, width]` int32, which of its body's parts, 0 of a body without;
-    None where none has any.
+    None where none has any. haze: None in clear air.
     """
 
     position: Tensor
@@ -41,6 +50,14 @@ class GBuffer:
     object_id: Tensor
     finish: Finish | None = None
     part: Tensor | None = None
+    haze: Haze | None = None
+
+    def in_air(self, medium: Medium | None, eye: Tensor) -> "GBuffer":
+        """The same surfaces in other air, None for clear air. eye: `[3]` m, the view's origin."""
+        if medium is None:
+            return replace(self, haze=None)
+        distance = (self.position - eye.to(self.position)[:, None, None]).norm(dim=0)
+        return replace(self, haze=Haze(medium, medium.transmittance(distance) * (self.object_id >= 0)))
 
     def to(self, device: torch.device) -> "GBuffer":
         moved = self._map(lambda image: image.to(device))
@@ -58,8 +75,9 @@ class GBuffer:
         """Apply a function to every image `[..., height, width]`."""
         finish = None if self.finish is None else replace(self.finish, material=change(self.finish.material))
         part = None if self.part is None else change(self.part)
+        haze = None if self.haze is None else replace(self.haze, transmittance=change(self.haze.transmittance))
         position, normal, albedo, object_id = map(change, (self.position, self.normal, self.albedo, self.object_id))
-        return GBuffer(position, normal, albedo, object_id, finish, part)
+        return GBuffer(position, normal, albedo, object_id, finish, part, haze)
 
 
 def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from luxloop.world.frames import transform
 from luxloop.world.params import Metres, Params
+from luxloop.world.scene.air import AirParams, Medium
 from luxloop.world.scene.body import Body, Figure, PoseTrack, Spotlight
 from luxloop.world.scene.ground import Ground
 from luxloop.world.scene.triangles import NOTHING, Group, Instance, Triangles
@@ -30,12 +31,13 @@ class StreetLamp(Params):
 @dataclass(frozen=True, eq=False)
 class Scene:
     """A scene. bodies: the road first; their order gives the object ids. ambient_lx: illuminance of a surface facing up by an overcast
-    sky.
+    sky. air: visibility over time, in ascending time; empty for clear air.
     """
 
     bodies: tuple[Body | Ground | Figure, ...]
     ambient_lx: float = 0.0
     street_lamps: tuple[StreetLamp, ...] = ()
+    air: tuple[AirParams, ...] = ()
 
     @property
     def objects(self) -> tuple[Body | Figure, ...]:
@@ -46,6 +48,12 @@ class Scene:
     def moves(self) -> bool:
         """Whether a body has more than one pose."""
         return any(len(body.track.times_s) > 1 for body in self.bodies)
+
+    def air_at(self, t_s: float) -> Medium | None:
+        """The air at a time, None if clear; before the first entry as of that entry."""
+        entries = [*self.air[:1], *(each for each in self.air if each.time_s <= t_s)]
+        visibility_m = entries[-1].visibility_m if entries else None
+        return None if visibility_m is None else Medium.fog(visibility_m)
 
     def key_at(self, t_s: float) -> Key:
         """Key of the bodies that exist at a time and their poses: cheap, and equal as long as nothing moves."""

@@ -17,15 +17,18 @@ from luxloop.controllers.symbol.sensing.projector import Projector
 from luxloop.controllers.symbol.sensing.relocalisation import Relocalisation, Relocaliser
 from luxloop.perception.appearance import Appearance, Axes, appearance, area, error_indices, errors, features, image_axes, probes
 from luxloop.perception.birdseye import BirdsEye, birds_eye, rectify, region_around
-from luxloop.perception.camera import CameraParams, average_rows, camera_view
+from luxloop.perception.camera import CameraParams, average_rows, camera_view, expose, luminance_of
 from luxloop.perception.egomotion import Ego
 from luxloop.perception.extraction import Extraction, ExtractionStatus, difference, gate, noise_limit, symbol_image, threshold
+from luxloop.world.caches import Part, PartialImage
 from luxloop.world.frames import View
+from luxloop.world.light.backscatter import Backscatter
 from luxloop.world.light.emitters import ambient_luminance
 from luxloop.world.light.illumination import Transport, added_light, lit_surface, transport
 from luxloop.world.materials.library import RoadSurfaceParams
 from luxloop.world.params import Params
 from luxloop.world.rendering.gbuffer import GBuffer, flat_road
+from luxloop.world.scene.air import Medium
 from luxloop.world.texels import NOWHERE, Window
 
 
@@ -180,6 +183,27 @@ class SymbolSensor:
     camera: CameraParams
     params: Extraction
     searches: bool = True
+
+    @cached_property
+    def _backscatter(self) -> Backscatter | None:
+        visibility_m = self.params.visibility_m
+        return None if visibility_m is None else Backscatter(Medium.fog(visibility_m), camera_view(self.camera))
+
+    def compensate(self, frames: tuple[Tensor, Tensor] | None, lights: Sequence[Utilisation]) -> tuple[Tensor, Tensor] | None:
+        """On and off frame with the symbol's backscatter in both, so that their difference is light on the road; the same in clear air.
+
+        The off frame then also has the on frame's noise level. lights: utilisations in the frames, one a module.
+        """
+        if frames is None or (air := self._backscatter) is None:
+            return frames
+        on, off = frames
+        textures = zip(self.projector.modules, self.projector.textures(lights), strict=True)
+        lit = [(module.pixel_controller.headlight, module.T_body_headlight.double().cpu(), texture) for module, texture in textures]
+
+        def part_of(part: Part) -> Tensor:
+            return expose(luminance_of(off[part], self.camera) + air.luminance(lit, part), self.camera, quantise=False)
+
+        return on, PartialImage.of(off.shape[-2], off.shape[-1], lights[0].u[:0], part_of)
 
     @cached_property
     def relocaliser(self) -> Relocaliser:

@@ -21,7 +21,7 @@ from luxloop.loop.report.styles import VIEWS
 from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, LitCar, Road, beside, birdseye, driver, grey
 from luxloop.world.frames import View
 from luxloop.world.headlight import Headlight
-from luxloop.world.light.volumetric import Medium
+from luxloop.world.scene.air import Medium
 from tests.loop.conftest import box, toml
 from tests.refusal import refusal
 

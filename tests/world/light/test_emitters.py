@@ -13,6 +13,7 @@ from luxloop.world.lamps.presets import idealised
 from luxloop.world.light.emitters import ambient_luminance, sources, surface_light, wall_illuminance
 from luxloop.world.materials.brdf import LAMBERTIAN, Material
 from luxloop.world.rendering.gbuffer import Finish, GBuffer, flat_road
+from luxloop.world.scene.air import Medium
 from luxloop.world.scene.body import Spotlight
 from luxloop.world.scene.scene import StreetLamp
 
@@ -54,7 +55,7 @@ def test_views_show_the_sum_of_all_modules_through_the_air(lamp, pattern):
     assert found.max() > 0.5
     assert_close(found, expected, rtol=1e-5, atol=1e-6)  # light textures are float32
     assert_close(luminance, 0.2 * found / math.pi)
-    hazy, _ = surface_light(road, lit, extinction_per_m=0.01)
+    hazy, _ = surface_light(road.in_air(Medium(0.01, 0.01), view.origin), lit)
     assert_close(hazy, expected * torch.exp(-0.01 * d).view(12, 8), rtol=1e-5, atol=1e-6)
 
 

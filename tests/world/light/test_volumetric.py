@@ -11,8 +11,9 @@ from scipy.integrate import quad
 
 from luxloop.world.headlight import Headlight
 from luxloop.world.light.emitters import Source
-from luxloop.world.light.volumetric import Medium, airlight, phase, shadow_map
+from luxloop.world.light.volumetric import airlight, phase, shadow_map
 from luxloop.world.rendering.surfaces import face_source
+from luxloop.world.scene.air import Medium
 from luxloop.world.scene.body import Body
 from luxloop.world.scene.scene import Scene
 from luxloop.world.spmv import Csr
