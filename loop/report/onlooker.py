@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.recording.video import NOISY_CRF, VideoWriter
 from luxloop.loop.report.picture import frame_picture, white_of
 from luxloop.loop.report.views import above, chase, driver, oncoming
@@ -138,10 +139,11 @@ class Onlooker:
 
     def _light(self, lit: LitScene, lights: Sequence[Tensor], commands: Commands) -> Tensor:
         weight = torch.tensor(LUMINANCE)[:, None, None]
-        sky = (lit.surfaces.object_id < 0).cpu() * lit.scene.ambient_lx / math.pi
+        sky = (lit.surfaces.object_id < 0).cpu() * (lit.backscatter is None) * lit.scene.ambient_lx / math.pi
         arriving = (self._from_lamps(lit, lights, commands) + lit.base).cpu() + sky
         seen = arriving * self._colours(lit)
-        return seen * (weight * arriving).sum(0) / (weight * seen).sum(0).clamp(min=1e-12)
+        coloured = seen * (weight * arriving).sum(0) / (weight * seen).sum(0).clamp(min=1e-12)
+        return coloured + torch.as_tensor(lit.backscattered([Utilisation(u) for u in lights], commands)).cpu()
 
     def _from_lamps(self, lit: LitScene, lights: Sequence[Tensor], commands: Commands) -> Tensor:
         """Luminance `[3, H, W]` from the lamps in linear sRGB, of grey surfaces."""
@@ -195,7 +197,10 @@ class Onlooker:
         for rgb in {rgb for *_, rgb in shining}:
             places = torch.cat([place for place, _, each in shining if each == rgb], 1)  # [3, n]
             intensities = torch.tensor([cd for _, cd, each in shining if each == rgb])
-            lx = intensities * lux_per_cd(places - eye, lit.eye.T_world_view[:3, 2:3]).float()
+            away = places - eye
+            lx = intensities * lux_per_cd(away, lit.eye.T_world_view[:3, 2:3]).float()
+            if (medium := lit.scene.air_at(lit.time_s)) is not None:
+                lx = lx * medium.transmittance(away.norm(dim=0)).float()
             seen = sees(self._others(lit), lit.eye.origin, places, LAMP_M) & (lx > 0)
             total += torch.tensor(rgb)[:, None, None] * veil(lit.eye, places[:, seen], lx[seen], self.age_years)
         return total

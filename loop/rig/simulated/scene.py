@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.rig.arrays import Image
 from luxloop.loop.rig.simulated.faults import FaultParams, LampErrorParams, ScreenParams
 from luxloop.loop.rig.simulated.lens import Lens
@@ -107,6 +108,9 @@ class _Lit:
             if self.factor is not None:
                 added = added * self.factor.flatten()[sample]
             luminance.view(-1).index_add_(0, sample // self.columns, added, alpha=command.intensity / self.columns)
+        if self.scene.backscatter is not None:
+            air = torch.as_tensor(self.scene.backscattered([Utilisation(u) for u in lights], commands))
+            luminance += air.expand_as(self.scene.base).unflatten(1, (-1, self.columns)).mean(2)
         return self.lens.image(luminance.numpy())
 
 
