@@ -1,4 +1,4 @@
-"""Simulated sensors of a moving vehicle: their samples with noise and bias, and times of arrival."""
+"""Simulated sensors of a moving vehicle: their samples with bias, noise and resolution, and times of arrival."""
 
 import math
 from abc import abstractmethod
@@ -24,7 +24,7 @@ DRAWN: Final[Mapping[Sensor, list[int]]] = {  # columns of each sensor in a samp
 }
 ROUNDING = 1e-6  # of a sample's index, a quotient of times
 
-Measured = tuple[list[float], list[float]]  # values without noise, and its standard deviations
+Measured = tuple[list[float], list[float], float]  # values without noise, its standard deviations, and their resolution
 
 
 class SamplingParams(Params):
@@ -35,8 +35,8 @@ class SamplingParams(Params):
 
     @abstractmethod
     def values(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
-        """A sample without noise in the units of `Sample`, and the standard deviations of its noise. before: state at the previous sample,
-        period_s earlier.
+        """A sample without noise in the units of `Sample`, the standard deviations of its noise, and the step of its values, 0: continuous.
+        before: state at the previous sample, period_s earlier.
         """
 
 
@@ -45,24 +45,28 @@ class WheelsParams(SamplingParams):
 
     scale: float = Field(1.0, gt=0, le=2, description="measured over true speed; worn tyres measure too much")
     noise_m_s: float = Field(0.0, ge=0, le=10, description="standard deviation of the measured speed")
+    resolution_m_s: float = Field(0.0, ge=0, le=1, description="step of the measured speed, 0: continuous")
 
     def values(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
         """Speed of the rear axle."""
-        return [0.5 * (now.speed_m_s + before.speed_m_s) * self.scale], [self.noise_m_s]
+        return [0.5 * (now.speed_m_s + before.speed_m_s) * self.scale], [self.noise_m_s], self.resolution_m_s
 
 
 class GyroParams(SamplingParams):
     """Rates of roll and pitch, and the mean yaw rate since the previous sample."""
 
+    bias_deg_s: float = Field(0.0, ge=-10, le=10, description="bias of measured roll and pitch rates")
     yaw_bias_deg_s: float = Field(0.0, ge=-10, le=10, description="bias of the measured yaw rate")
     yaw_noise_deg_s: float = Field(0.0, ge=0, le=10, description="standard deviation of the measured yaw rate")
     noise_deg_s: float = Field(0.0, ge=0, le=10, description="standard deviation of measured roll and pitch rates")
+    resolution_deg_s: float = Field(0.0, ge=0, le=1, description="step of the measured rates, 0: continuous")
 
     def values(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
         """Rates of roll, pitch and yaw."""
+        bias, tilting, turning = (math.radians(each) for each in (self.bias_deg_s, self.noise_deg_s, self.yaw_noise_deg_s))
         yaw_rate = 0.5 * (now.yaw_rate_rad_s + before.yaw_rate_rad_s) + math.radians(self.yaw_bias_deg_s)
-        tilting, turning = math.radians(self.noise_deg_s), math.radians(self.yaw_noise_deg_s)
-        return [now.roll_rate_rad_s, now.pitch_rate_rad_s, yaw_rate], [tilting, tilting, turning]
+        rates = [now.roll_rate_rad_s + bias, now.pitch_rate_rad_s + bias, yaw_rate]
+        return rates, [tilting, tilting, turning], math.radians(self.resolution_deg_s)
 
 
 class AttitudeParams(SamplingParams):
@@ -78,34 +82,39 @@ class AttitudeParams(SamplingParams):
         roll, pitch = now.roll_rad + math.radians(self.roll_bias_deg), now.pitch_rad + math.radians(self.pitch_bias_deg)
         angle = math.radians(self.noise_deg)
         ground = [now.ground_m, now.slope_rad, now.climb_m_s, now.bend_rad_s]
-        return [now.heave_m, roll, pitch, now.rise_m_s, *ground], [self.heave_noise_m, angle, angle, *[0.0] * 5]
+        return [now.heave_m, roll, pitch, now.rise_m_s, *ground], [self.heave_noise_m, angle, angle, *[0.0] * 5], 0.0
 
 
 class AccelerometerParams(SamplingParams):
     """Accelerations forward, left and, as mean since the previous sample, up; without gravity."""
 
+    bias_m_s2: float = Field(0.0, ge=-5, le=5, description="bias of each measured acceleration")
     noise_m_s2: float = Field(0.0, ge=0, le=10, description="standard deviation of each measured acceleration")
+    resolution_m_s2: float = Field(0.0, ge=0, le=1, description="step of the measured accelerations, 0: continuous")
 
     def values(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
         """Accelerations forward, left, up."""
-        upwards = (now.rise_m_s - before.rise_m_s) / period_s
-        return [now.acceleration_m_s2, now.lateral_m_s2, upwards], [self.noise_m_s2] * 3
+        values = now.acceleration_m_s2, now.lateral_m_s2, (now.rise_m_s - before.rise_m_s) / period_s
+        return [each + self.bias_m_s2 for each in values], [self.noise_m_s2] * 3, self.resolution_m_s2
 
 
 class TravelParams(SamplingParams):
     """Travel of the body above each wheel, relative to rest."""
 
+    bias_m: float = Field(0.0, ge=-0.1, le=0.1, description="bias of each measured suspension travel, such as by load")
     noise_m: float = Field(0.0, ge=0, le=0.1, description="standard deviation of each measured suspension travel")
+    resolution_m: float = Field(0.0, ge=0, le=0.01, description="step of the measured suspension travels, 0: continuous")
 
     def values(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
         """Travel front left, front right, rear left, rear right."""
-        return [now.travel_fl_m, now.travel_fr_m, now.travel_rl_m, now.travel_rr_m], [self.noise_m] * 4
+        travels = now.travel_fl_m, now.travel_fr_m, now.travel_rl_m, now.travel_rr_m
+        return [each + self.bias_m for each in travels], [self.noise_m] * 4, self.resolution_m
 
 
 class SensorParams(Params):
-    """Sensors of the vehicle's motion; without noise, bias and delay they are perfect."""
+    """Sensors of the vehicle's motion; without bias, noise, resolution and delay they are perfect."""
 
-    fitted: tuple[Sensor, ...] = Field(("wheels", "gyro", "attitude"), description="sensors fitted to the vehicle")
+    fitted: tuple[Sensor, ...] = Field(("wheels", "gyro", "accelerometer", "suspension"), description="sensors fitted to the vehicle")
     wheels: WheelsParams = Field(WheelsParams(), description="wheel speed sensors; without them the vehicle is assumed to stand")
     gyro: GyroParams = Field(GyroParams(), description="gyroscope: rates of roll, pitch and yaw")
     attitude: AttitudeParams = Field(AttitudeParams(), description="inertial unit: fused heave, roll and pitch")
@@ -149,10 +158,12 @@ class Sensors:
     def _sample(self, sensor: Sensor, number: int, like: Tensor) -> Sample:
         params, period_s = self._of(sensor)
         at_s, before_s = number * period_s, (number - 1) * period_s
-        values, spread = params.values(self.motion.at(at_s), self.motion.at(before_s), period_s)
+        values, spread, step = params.values(self.motion.at(at_s), self.motion.at(before_s), period_s)
         generator = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number, NOISE_KEY)))
         noise = generator.standard_normal(1 + max(DRAWN[sensor]))[DRAWN[sensor]]
-        return Sample(sensor, at_s, at_s + params.delay_s if number else 0.0, like.new_tensor(np.array(values) + np.array(spread) * noise))
+        measured = np.array(values) + np.array(spread) * noise
+        measured = step * np.round(measured / step) if step else measured
+        return Sample(sensor, at_s, at_s + params.delay_s if number else 0.0, like.new_tensor(measured))
 
     def _of(self, sensor: Sensor) -> tuple[SamplingParams, float]:
         """Parameters of a sensor, and its period in s."""

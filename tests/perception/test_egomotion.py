@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop.perception.egomotion import Ego, Sample, ego_of, recent
+from luxloop.perception.egomotion import Ego, Sample, Sensor, ego_of, recent
 from luxloop.perception.sensors import SensorParams, Sensors
 from luxloop.world.frames import inverse
 from luxloop.world.roads.shapes import Flat, Iso8608
@@ -38,8 +38,11 @@ def like(device: torch.device) -> Tensor:
     return torch.zeros(1, device=device)
 
 
-def look(motion: Motion, step: int, like: Tensor, seed: int = 0, **sensors) -> Ego:
-    return known(motion, SensorParams(**sensors), step * PERIOD_S, seed, like)
+UNIT = ("wheels", "gyro", "attitude")
+
+
+def look(motion: Motion, step: int, like: Tensor, seed: int = 0, fitted: tuple[Sensor, ...] = UNIT, **sensors) -> Ego:
+    return known(motion, SensorParams(fitted=fitted, **sensors), step * PERIOD_S, seed, like)
 
 
 def test_exact_sensors_tell_the_truth(like):
@@ -76,7 +79,7 @@ def test_who_stands_measures_that(like):
 def test_errors_have_the_sizes_that_were_asked_for():
     errors = {
         "wheels": {"scale": 1.01, "noise_m_s": 0.05},
-        "gyro": {"yaw_bias_deg_s": 0.3, "yaw_noise_deg_s": 0.1, "noise_deg_s": 0.5},
+        "gyro": {"bias_deg_s": 0.4, "yaw_bias_deg_s": 0.3, "yaw_noise_deg_s": 0.1, "noise_deg_s": 0.5},
         "attitude": {"heave_noise_m": 0.002, "pitch_bias_deg": 0.1, "noise_deg": 0.02},
     }
     like, n = torch.zeros(1), 40
@@ -91,8 +94,8 @@ def test_errors_have_the_sizes_that_were_asked_for():
         (attitude[:, 0], 0, 0.002),
         (attitude[:, 1], 0, 0.02 * degree),
         (attitude[:, 2], 0.1 * degree, 0.02 * degree),
-        (rates[:, 1], 0, 0.5 * degree),
-        (rates[:, 2], 0, 0.5 * degree),
+        (rates[:, 1], 0.4 * degree, 0.5 * degree),
+        (rates[:, 2], 0.4 * degree, 0.5 * degree),
     ):
         # four standard errors of a mean and of a standard deviation
         assert float(values.mean()) == pytest.approx(mean, abs=4 * spread / math.sqrt(n))
@@ -130,6 +133,24 @@ def test_a_quick_sensor_sends_every_sample_once():
     came = [(sample, until) for since, until in spans for sample in sensors.arriving(since, until, LIKE)]
     assert [sample.measured_s for sample, _ in came] == pytest.approx([k / 100 for k in range(1, 50)])
     assert all(until - 1 / 60 < sample.arrived_s <= until + 1e-9 for sample, until in came)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "key", "step"),
+    [("wheels", "m_s", 0.07), ("gyro", "deg_s", 0.1), ("accelerometer", "m_s2", 0.02), ("suspension", "m", 0.002)],
+)
+def test_values_are_the_nearest_step_to_what_is_measured(sensor, key, step):
+    motion, unit = motion_of(15, pitch_deg=0.5), math.radians(step) if key == "deg_s" else step
+    fitted = [SensorParams(fitted=(sensor,), **{sensor: table}) for table in ({}, {f"resolution_{key}": step})]
+    exact, coarse = (torch.stack([found.values for found in Sensors(motion, each, PERIOD_S, 0).arriving(0, 1, LIKE)]) for each in fitted)
+    assert torch.allclose(coarse, unit * (exact / unit).round(), atol=1e-6) and not torch.allclose(coarse, exact, atol=1e-6)
+
+
+@pytest.mark.parametrize(("sensor", "key", "bias"), [("accelerometer", "bias_m_s2", 0.1), ("suspension", "bias_m", 0.004)])
+def test_all_values_of_a_sensor_have_its_bias(sensor, key, bias):
+    fitted = [SensorParams(fitted=(sensor,), **{sensor: table}) for table in ({}, {key: bias})]
+    exact, biased = (Sensors(motion_of(15, pitch_deg=0.5), each, PERIOD_S, 0).newest(0.5, LIKE)[0].values for each in fitted)
+    assert torch.allclose(biased - exact, torch.tensor(bias), atol=1e-6)
 
 
 def test_springs_tell_the_attitude_without_a_unit(like):

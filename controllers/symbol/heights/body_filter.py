@@ -70,11 +70,13 @@ JERK: Final = (0.8, 0.5, 0.5)  # m/s^3 and rad/s^3, root of the jerk density of 
 NOISE: Final = ((1e-3, 2e-4, 2e-4), (5e-3, 2e-3, 2e-3))  # standard deviations of measured heave, roll and pitch, and of their rates
 WHEELS_NOISE: Final = (2e-3, 7e-4, 7e-4)  # of heave, roll and pitch over the wheels, with the road between the strip's cells
 FIRST: Final = (0.02, 0.1, 0.02, 0.1, 0.5)  # m or rad: initial deviations: value, rate by the road; value, rate, acceleration by others
+BIASED: Final = 1e-3  # rad/s, initial deviation of the gyroscope's biases, which cars measure at rest
 UNEVEN_M: Final = 0.05  # initial deviation of the road's height
 PITCH_SEEN: Final = 1.5e-4  # rad, error of the pitch between two observations
 OTHER: Final = slice(6, 15)  # states of other disturbances
 LEVEL: Final = 15  # state: pitch at the last observation of the road
-BODY: Final = 16  # states before the strip's
+BIAS: Final = slice(16, 18)  # states: biases of the measured rates of roll and pitch
+BODY: Final = 18  # states before the strip's
 
 
 class BodyParams(SpringParams):
@@ -88,9 +90,9 @@ class BodyFilter:
     """Kalman estimate of body and road at time_s: mean `[n]` and covariance `[n, n]` of the state, float64 on the CPU.
 
     Reference is a fixed level plane (`Ego.level_attitude`). State: heave in m, roll and pitch in rad caused by the road, and their rates;
-    heave, roll and pitch caused by other disturbances, their rates and accelerations; pitch in rad at the last processed observation; road
-    height in m along the wheel tracks in cells from start_m on, first the mean of both tracks, then left minus right. way_m: distance
-    driven. known_m: way up to which the camera has seen the road. slope_rad: slope of the ground, assumed beyond known_m. axles_m: x of
+    heave, roll and pitch caused by other disturbances, their rates and accelerations; pitch in rad at the last processed observation;
+    biases in rad/s of the measured rates of roll and pitch; road height in m along the wheel tracks in cells from start_m on, first the
+    mean of both tracks, then left minus right. way_m: distance driven. known_m: way up to which the camera has seen the road. slope_rad: slope of the ground, assumed beyond known_m. axles_m: x of
     front and rear axle on the ground. distance_m: distance of the symbol from the midpoint of the axles, which converts rise into apparent
     pitch. over_wheels: as in `Ego`. trail: `[k]`, mean heights in m of the cells that the strip has left. observations: times of pending
     observations, each with the pitch in rad since the previous one, None if unknown.
@@ -120,7 +122,8 @@ class BodyFilter:
         count = math.ceil((reach_m - start) / CELL_M)
         covariance = torch.diag(torch.tensor(FIRST, dtype=torch.float64).square().repeat_interleave(3))  # [15, 15]
         # P [n, n], n = BODY + 2 count: the mean of two independent tracks has half their variance, the difference twice.
-        covariance = torch.block_diag(covariance, covariance[:1, :1], *(share * (UNEVEN_M**2 + _walk(count)) for share in (0.5, 2.0)))
+        bias = BIASED**2 * torch.eye(2, dtype=torch.float64)
+        covariance = torch.block_diag(covariance, covariance[:1, :1], bias, *(share * (UNEVEN_M**2 + _walk(count)) for share in (0.5, 2.0)))
         mean = torch.zeros(BODY + 2 * count, dtype=torch.float64)
         height, slope, *_ = ego.ground.tolist()
         mean[[0, 2]] = mean.new_tensor([height - slope * ego.pivot_x_m, slope])  # heave at the pivot, and pitch
@@ -225,6 +228,7 @@ class BodyFilter:
     def measure(self, ego: Ego) -> "BodyFilter":
         """Kalman update with the measurements taken at time_s."""
         rows = torch.cat([_output_rows(0, len(self.mean)), _output_rows(1, len(self.mean))])
+        rows[4:, BIAS] = torch.eye(2, dtype=torch.float64)
         if self.over_wheels:
             rows[:3, BODY:] -= self._bases(torch.tensor([self.way_m]).double())[0]
         values = torch.cat([exact(ego.level_attitude), exact(ego.rates)])
@@ -279,7 +283,7 @@ class BodyFilter:
             found[at, mode], found[at, 3 + mode] = answer[:, 0], answer[:, 1]
             found[at, BODY:] = answer[:, 2:] @ bases[:, mode]
         found[OTHER, OTHER] = torch.kron(disturbance_transition(duration_s), torch.eye(3, dtype=torch.float64))  # [9, 9]
-        found[LEVEL, LEVEL] = 1
+        found[LEVEL:, LEVEL:BODY] = torch.eye(BODY - LEVEL, dtype=torch.float64)
         return found
 
     def _bases(self, way_m: Tensor) -> Tensor:

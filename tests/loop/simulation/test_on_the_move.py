@@ -82,7 +82,11 @@ def test_a_symbol_stays_in_its_place_on_a_steady_climb():
 
 def test_what_is_found_in_the_image_is_placed_as_the_body_was_measured():
     def gap_m(bias_deg: float) -> float:
-        found = ("functions.guard.kind=glare_free", "detector.kind=truth", f"sensors.attitude.pitch_bias_deg={bias_deg}")
+        found = (
+            "functions.guard.kind=glare_free",
+            "detector.kind=truth",
+            f"sensors={{fitted=['wheels', 'gyro', 'attitude'], attitude.pitch_bias_deg={bias_deg}}}",
+        )
         moving = simulation(*found, objects=[ONCOMING])
         *_, last = moving.evaluations()
         (true,), (found,) = moving._all_objects(last.time_s, None), last.now.objects

@@ -153,8 +153,8 @@ def test_a_vehicle_drives_and_tells_of_it():
             "camera.height_px=60",
         )
         with looped(keys, ports=Ports("127.0.0.1", 0, 0, 0, ego.getsockname())) as loop:
-            standing = [decode(ego.recv(4096)) for _ in range(3)]
-            assert {each.sensor for each in standing} == {"wheels", "gyro", "attitude"}
+            standing = [decode(ego.recv(4096)) for _ in range(4)]
+            assert {each.sensor for each in standing} == {"wheels", "gyro", "accelerometer", "suspension"}
             loop.hold(255, 1, 0.6)
             begun_s = loop.rig.timeline.begun_s
             samples = list[SensorDatagram]()

@@ -16,7 +16,7 @@ from tests.loop.conftest import simulation_of
 SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=320", "camera.height_px=240", "camera.oversampling=2", "judge_causes=true"]
 CAUSES = ("iou_open", "iou_true_pose", "iou_true_road", "iou_true")
 NODS = "vehicle={course=[{speed_m_s=10}], oscillation={pitch_deg=0.4, rate_hz=1.2}}"
-EXACT = [f"sensors.{key}=0" for key in ("gyro.noise_deg_s", "attitude.noise_deg", "attitude.heave_noise_m", "attitude.delay_s")]
+UNIT = "sensors={fitted=['wheels', 'gyro', 'attitude']"
 
 
 def recorded(name: str, *changes: str, steps: int) -> pa.Table:
@@ -46,7 +46,7 @@ def test_the_open_loop_beside_is_that_of_a_run_without_control():
 
 
 def test_a_body_that_is_measured_late_costs_what_its_true_pose_gives_back():
-    table = recorded("driving", "road.kind='flat'", NODS, *EXACT[:-1], "sensors.attitude.delay_s=0.1", steps=12)
+    table = recorded("driving", "road.kind='flat'", NODS, UNIT + ", gyro.noise_deg_s=0, attitude.delay_s=0.1}", steps=12)
     true, measured = (column(table, f"body.{each}.pitch_deg") for each in ("true", "measured"))
     assert measured[3:] == pytest.approx(true[:-3], abs=1e-4)  # 0.1 s are three steps
     iou, pose, both = (each.mean() for each in of_symbol(table, "iou", "iou_true_pose", "iou_true"))
@@ -57,7 +57,7 @@ def test_a_body_that_is_measured_late_costs_what_its_true_pose_gives_back():
 
 def test_light_that_follows_the_body_between_frames_stays_where_it_was_in_the_frame():
     fast = {"rate_hz": 240, "delay_s": 0.005}
-    sensors = f"sensors={{wheels={fast}, gyro={fast}, attitude={fast}}}".replace(":", " =").replace("'", "")
+    sensors = f"sensors={{wheels={fast}, gyro={fast}, accelerometer={fast}, suspension={fast}}}".replace(":", " =").replace("'", "")
     held, drawn = (
         recorded("driving", "road.kind='flat'", NODS, "camera.exposure_s=0.004", sensors, *changes, steps=10)
         for changes in ([], ["headlight.rate_hz=240"])
@@ -70,7 +70,12 @@ def test_light_that_follows_the_body_between_frames_stays_where_it_was_in_the_fr
 
 def test_late_light_is_drawn_for_the_samples_that_were_there_in_time():
     fast = "{rate_hz=100, delay_s=0.01}"
-    given = [f"sensors={{wheels={fast}, gyro={fast}, attitude={fast}}}", "headlight.delay_s=0.02", "headlight.rate_hz=100", *SMALL]
+    given = [
+        f"sensors={{wheels={fast}, gyro={fast}, accelerometer={fast}, suspension={fast}}}",
+        "headlight.delay_s=0.02",
+        "headlight.rate_hz=100",
+        *SMALL,
+    ]
     simulation = simulation_of(load("driving", [*given, "camera.exposure_s=0.004"], steps=4))
     *_, result = simulation.run()
     assert result.time_s == pytest.approx(0.1)

@@ -13,7 +13,7 @@ from tests.loop.conftest import SMALL, simulation_of, toml
 
 SYMBOL = SMALL["functions"]["symbol"] | toml("{ controller.name = 'open', start = {} }")
 OPEN = {"functions": {"symbol": SYMBOL}, "steps": 3, "renderer": "auto"}
-LATE = toml("{ wheels = { delay_s = 0.03, scale = 1.1 }, gyro.delay_s = 0.03, attitude.delay_s = 0.03 }")  # a step of 33 ms
+LATE = toml("{ wheels = { delay_s = 0.03, scale = 1.1 }, gyro.delay_s = 0.03, suspension.delay_s = 0.03 }")  # a step of 33 ms
 PITCH_DEG, RATE_HZ = 0.3, 7.5  # down at the second step, up at the fourth
 
 
