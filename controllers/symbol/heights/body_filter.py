@@ -92,10 +92,11 @@ class BodyFilter:
     Reference is a fixed level plane (`Ego.level_attitude`). State: heave in m, roll and pitch in rad caused by the road, and their rates;
     heave, roll and pitch caused by other disturbances, their rates and accelerations; pitch in rad at the last processed observation;
     biases in rad/s of the measured rates of roll and pitch; road height in m along the wheel tracks in cells from start_m on, first the
-    mean of both tracks, then left minus right. way_m: distance driven. known_m: way up to which the camera has seen the road. slope_rad: slope of the ground, assumed beyond known_m. axles_m: x of
-    front and rear axle on the ground. distance_m: distance of the symbol from the midpoint of the axles, which converts rise into apparent
-    pitch. over_wheels: as in `Ego`. trail: `[k]`, mean heights in m of the cells that the strip has left. observations: times of pending
-    observations, each with the pitch in rad since the previous one, None if unknown.
+    mean of both tracks, then left minus right. way_m: distance driven. known_m: way up to which the camera has seen the road. slope_rad:
+    slope of the ground, assumed beyond known_m. axles_m: x of front and rear axle on the ground. distance_m: distance of the symbol from
+    the midpoint of the axles, which converts rise into apparent pitch. over_wheels: as in `Ego`. trail: `[k]`, mean heights in m of the
+    cells that the strip has left. observations: times of pending observations, each with the pitch in rad since the previous one, None if
+    unknown.
     """
 
     params: BodyParams
