@@ -134,7 +134,9 @@ def _complaint(error: CycloptsError) -> str:
 
 
 @app.command
-def new(file: Path | None = None, /, *, like: str | None = None, traffic: Seed | None = None) -> None:
+def new(
+    file: Path | None = None, /, *, like: str | None = None, traffic: Seed | None = None, population: Literal["first", "second"] = "first"
+) -> None:
     """Write a scenario file that is ready to run: a commented template with a symbol, a copy of a shipped scenario or example, or a night.
 
     Parameters
@@ -145,6 +147,8 @@ def new(file: Path | None = None, /, *, like: str | None = None, traffic: Seed |
         Shipped scenario or example to copy (see `luxloop list` and `luxloop list examples`), such as gfhb.
     traffic
         Seed: write a random night scene with traffic, road and light instead of the template.
+    population
+        Population of the random night: first, as in training of the network; second, other bodies along a drive on a hilly road.
     """
     if like is not None and traffic is not None:
         raise LuxloopError("--like copies a scenario and --traffic draws one; give one of the two")
@@ -157,7 +161,7 @@ def new(file: Path | None = None, /, *, like: str | None = None, traffic: Seed |
     elif file is not None and traffic is not None:
         from luxloop.loop.scenario.text import night
 
-        text = night(file.stem, traffic)
+        text = night(file.stem, traffic, population)
     elif file is not None:
         text = copy_text(TEMPLATE, file.stem)
     else:

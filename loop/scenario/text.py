@@ -8,6 +8,7 @@ from pydantic import BaseModel
 
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.overrides import TAGS
+from luxloop.world.traffic.roles import Population
 from luxloop.world.validation import toml
 
 HEAD: Final = """\
@@ -48,11 +49,12 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def night(name: str, seed: int) -> str:
+def night(name: str, seed: int, population: Population = "first") -> str:
     """Text of a scenario of lighting functions with traffic, road and light drawn from a seed."""
-    from luxloop.world.traffic.generator import random_tables
+    from luxloop.world.traffic.generator import random_tables, second_tables
 
-    world = random_tables(seed)
+    world = second_tables(seed) if population == "second" else random_tables(seed)
+    head = {"name": name, "steps": 40, "rate_hz": 20, "conditions": world.pop("conditions", None)}
     tables = {
         **world,
         "traffic": world["traffic"] | {"on_road": True},
@@ -61,5 +63,5 @@ def night(name: str, seed: int) -> str:
         "lighting": {"base": {"beam": "low"}},
         "functions.guard_traffic": {"kind": "glare_free"},
     }
-    head = _table(HEAD, {"name": name, "steps": 40, "rate_hz": 20})
-    return "\n\n".join([head, *(_table(f"[{key}]", table) for key, table in tables.items())]) + "\n"
+    top = _table(HEAD, {key: value for key, value in head.items() if value is not None})
+    return "\n\n".join([top, *(_table(f"[{key}]", table) for key, table in tables.items())]) + "\n"

@@ -186,7 +186,7 @@ class Figure:
     """A body with a cycle of shapes.
 
     shape: makes the body at a phase 0..1 of the cycle; that body's track is not used. cycle_m: distance of a cycle. start: phase at the
-    start of the way.
+    start of the way. shapes: number of them in a cycle.
     """
 
     name: str
@@ -194,10 +194,11 @@ class Figure:
     cycle_m: float
     track: PoseTrack
     start: float = 0.0
+    shapes: int = SHAPES
 
     def phase_at(self, t_s: float) -> float:
         """Phase 0..1 of the cycle at a time, in steps of one shape."""
-        return round((self.start + self.track.travelled_m(t_s) / self.cycle_m) * SHAPES) % SHAPES / SHAPES
+        return round((self.start + self.track.travelled_m(t_s) / self.cycle_m) * self.shapes) % self.shapes / self.shapes
 
     def at(self, t_s: float) -> Body:
         """The shape at a time."""
@@ -206,7 +207,7 @@ class Figure:
     @cached_property
     def bounds(self) -> Tensor:
         """Lowest and highest coordinates of all shapes in the body frame, `[2, 3]` float64 m."""
-        low, high = torch.stack([self.shape_at(k / SHAPES).bounds for k in range(SHAPES)], 1)
+        low, high = torch.stack([self.shape_at(k / self.shapes).bounds for k in range(self.shapes)], 1)
         return torch.stack([low.amin(0), high.amax(0)])
 
     @cached_property

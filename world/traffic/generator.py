@@ -2,7 +2,8 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 from itertools import count, takewhile
 from typing import Any
@@ -13,18 +14,18 @@ from pydantic import Field
 from luxloop.world.files import afford
 from luxloop.world.params import Params, Positive, Seed, in_order
 from luxloop.world.scene.vehicle import Course, VehicleParams
-from luxloop.world.traffic.animal import AnimalParams
-from luxloop.world.traffic.car import CarParams
-from luxloop.world.traffic.objects import ClutterParams, ObjectParams, TrafficSignParams
-from luxloop.world.traffic.people import CyclistParams, PedestrianParams
-from luxloop.world.traffic.route import LANE_M, Met, Route
+from luxloop.world.traffic.objects import ObjectParams
+from luxloop.world.traffic.roles import POPULATIONS, Maker, Population, Role
+from luxloop.world.traffic.route import Met, Route
 from luxloop.world.traffic.tracked import WayParams
 
 SIGHT = 0.26  # largest |y| / x of an object: within 15 deg
 TRIES = 200
+ARM_M = 0.65  # between the middles of two people side by side
 AWAY_S = 30.0  # of motion of objects around a standing vehicle
 SHOULDER_M = 1.6  # beside both lanes, for cyclists; other roadside objects stand farther out by as much
 BYTES_AN_OBJECT = 1_000_000  # thousands of faces, with normals and planes
+DRIVE_S = 12.0  # of `second_tables`
 Place = tuple[float, float, float]  # x and y in m, yaw in deg
 
 
@@ -39,6 +40,9 @@ class TrafficParams(Params):
     """Random road users and roadside objects, in addition to single objects."""
 
     seed: Seed = Field(0, description="seed of the random scene")
+    population: Population = Field(
+        "first", description="bodies: first, the kinds on which luxloop's network is trained; second, others, of kind model"
+    )
     pedestrians: int = Field(2, ge=0, le=30, description="on pavements, crossing or waiting")
     cyclists: int = Field(1, ge=0, le=20, description="ahead or oncoming")
     cars: int = Field(1, ge=0, le=10, description="ahead or oncoming, with their lamps on")
@@ -68,14 +72,17 @@ class TrafficParams(Params):
         rng = np.random.default_rng(self.seed)
         taken: list[tuple[float, float, float]] = []
         found: list[ObjectParams] = []
-        for kind, (counted, _, radius_m, _, make) in ROLES.items():
+        for kind, (counted, params, radius_m, _, make) in POPULATIONS[self.population].items():
             for k in range(getattr(self, counted)):
                 seed = int(rng.integers(2**31))
                 keys, speed, place = next(self._free(rng, taken, radius_m, make), ({}, 0.0, None))
                 if place is not None:
                     taken.append((place[0], place[1], radius_m))
-                    keys |= {"on_road": self.on_road}
-                    found.append(_object(kind, f"{kind}_{k + 1}", seed, place, speed if self.moving else 0.0, keys))
+                    x, y, yaw = place
+                    for name, own, (dx, dy) in _group(f"{kind}_{k + 1}", keys, yaw):
+                        moves = speed if self.moving else 0.0
+                        found.append(_object(params, name, seed, (x + dx, y + dy, yaw), moves, own | {"on_road": self.on_road}))
+                        seed += 1
         return tuple(found)
 
     def along(self, vehicle: VehicleParams, duration_s: float) -> tuple[ObjectParams, ...]:
@@ -91,24 +98,22 @@ class TrafficParams(Params):
     def _stretch(self, k: int, route: Route, taken: list[Met]) -> Iterator[tuple[str, int, dict[str, Any], Met]]:
         """Kinds, seeds, keys and motion of the objects in a stretch of a drive; their places are added to `taken`."""
         rng = np.random.default_rng([self.seed, k])
-        for kind, role in ROLES.items():
+        for kind, role in POPULATIONS[self.population].items():
             for _ in range(getattr(self, role[0])):
                 seed = int(rng.integers(2**31))
-                for keys, met in self._tries(rng, k, route, kind, role):
+                for keys, met in self._tries(rng, k, route, role):
                     if met is not None and not any(met.touches(each) for each in taken):
                         taken.append(met)
                         yield kind, seed, keys, met
                         break
 
-    def _tries(
-        self, rng: np.random.Generator, k: int, route: Route, kind: str, role: "Role"
-    ) -> Iterator[tuple[dict[str, Any], Met | None]]:
-        (*_, half_m, make), moment_s = role, self._moment_s(k, route)
+    def _tries(self, rng: np.random.Generator, k: int, route: Route, role: Role) -> Iterator[tuple[dict[str, Any], Met | None]]:
+        (counted, *_, half_m, make), moment_s = role, self._moment_s(k, route)
         for _ in range(TRIES):
             x = self._distance(rng) if k == 0 else rng.uniform(k * self.far_m, (k + 1) * self.far_m)
             keys, speed, y, yaw = make(rng)
-            ahead = kind == "car" and yaw == 0
-            if kind != "car":
+            ahead = counted == "cars" and yaw == 0
+            if counted != "cars":
                 y += float(np.copysign(SHOULDER_M, y))
             if abs(y) <= SIGHT * x and not (ahead and k):  # cars ahead keep the vehicle's speed, so none is met later
                 place_m, half = np.array([[x], [y]]), np.array(half_m)[:, None]
@@ -123,7 +128,7 @@ class TrafficParams(Params):
         return float(np.exp(rng.uniform(np.log(self.near_m), np.log(self.far_m))))
 
     def _free(
-        self, rng: np.random.Generator, taken: list[tuple[float, float, float]], radius_m: float, make: "Maker"
+        self, rng: np.random.Generator, taken: list[tuple[float, float, float]], radius_m: float, make: Maker
     ) -> Iterator[tuple[dict[str, Any], float, Place]]:
         """Free places in sight."""
         for _ in range(TRIES):
@@ -134,27 +139,31 @@ class TrafficParams(Params):
                 yield keys, speed, (x, y, yaw)
 
 
-Made = tuple[dict[str, Any], float, float, float]  # keys, speed in m/s, y in m, yaw in deg
-Maker = Callable[[np.random.Generator], Made]
-# Key of its count, kind, radius in m of its place, half its length and width in m, function that makes it.
-Role = tuple[str, Any, float, tuple[float, float], Maker]
+def _group(name: str, keys: dict[str, Any], yaw_deg: float) -> Iterator[tuple[str, dict[str, Any], tuple[float, float]]]:
+    """Names, keys, and places in m beside the first, of somebody and of company at the left hand."""
+    company = keys.get("company")
+    alone = {key: value for key, value in keys.items() if key != "company"}
+    yield name, alone, (0.0, 0.0)
+    if company is not None:
+        yaw = np.radians(yaw_deg)
+        yield f"{name}_company", alone | {"model": company}, (-ARM_M * float(np.sin(yaw)), ARM_M * float(np.cos(yaw)))
 
 
-def _object(kind: str, name: str, seed: int, place: Place, speed_m_s: float, keys: dict[str, Any]) -> ObjectParams:
+def _object(kind: Any, name: str, seed: int, place: Place, speed_m_s: float, keys: dict[str, Any]) -> ObjectParams:
     x, y, yaw = (round(value, 3) for value in place)
     if speed_m_s == 0:
-        return ROLES[kind][1](name=name, seed=seed, track=({"position_m": (x, y, 0.0), "yaw_deg": yaw},), **keys)
+        return kind(name=name, seed=seed, track=({"position_m": (x, y, 0.0), "yaw_deg": yaw},), **keys)
     way, ahead = AWAY_S * speed_m_s, np.radians(yaw)
     end = (round(x + way * float(np.cos(ahead)), 3), round(y + way * float(np.sin(ahead)), 3), 0.0)
     path = WayParams(points_m=((x, y, 0.0), end), speed_m_s=round(speed_m_s, 3))
-    return ROLES[kind][1](name=name, seed=seed, path=path, **keys)
+    return kind(name=name, seed=seed, path=path, **keys)
 
 
 @lru_cache(maxsize=8)  # used repeatedly in a run
 def _along(params: TrafficParams, vehicle: VehicleParams, duration_s: float) -> tuple[ObjectParams, ...]:
-    route = Route.of(vehicle, duration_s, params.sight_m)
+    route, roles = Route.of(vehicle, duration_s, params.sight_m), POPULATIONS[params.population]
     moments_s = tuple(takewhile(math.isfinite, (params._moment_s(k, route) for k in count())))
-    number = len(moments_s) * sum(getattr(params, counted) for counted, *_ in ROLES.values())
+    number = len(moments_s) * sum(getattr(params, counted) for counted, *_ in roles.values())
     afford(f"traffic: {number:,} objects", BYTES_AN_OBJECT * number, "take fewer steps or objects, or raise far_m")
     found: list[ObjectParams] = []
     taken: list[Met] = []
@@ -164,76 +173,11 @@ def _along(params: TrafficParams, vehicle: VehicleParams, duration_s: float) -> 
         for kind, seed, keys, met in params._stretch(k, route, taken):
             names[kind] += 1
             if met.start_s <= duration_s:
-                found.append(ROLES[kind][1](name=f"{kind}_{names[kind]}", seed=seed, on_road=True, **route.keys(met), **keys))
+                for name, own, beside_m in _group(f"{kind}_{names[kind]}", keys, met.yaw_deg):
+                    where = route.keys(replace(met, places_m=met.places_m + np.array(beside_m)[:, None]))
+                    found.append(roles[kind][1](name=name, seed=seed, on_road=True, **where, **own))
+                    seed += 1
     return tuple(found)
-
-
-def _side(rng: np.random.Generator) -> bool:
-    return rng.random() < 0.5
-
-
-def _beside(left: bool, away_m: float) -> float:
-    """y of a place at a distance from the road's edge on a side."""
-    return LANE_M * 1.5 + away_m if left else -LANE_M / 2 - away_m
-
-
-def _car(rng: np.random.Generator) -> Made:
-    if rng.random() < 0.6:
-        return {}, rng.uniform(8, 20), LANE_M + rng.normal(0, 0.2), 180.0
-    return {}, rng.uniform(3, 12), rng.normal(0, 0.2), 0.0
-
-
-def _parking_car(rng: np.random.Generator) -> Made:
-    left = _side(rng)
-    return {"lit": False, "category": None}, 0.0, _beside(left, 1.1) + rng.normal(0, 0.1), 180.0 if left else 0.0
-
-
-def _deer(rng: np.random.Generator) -> Made:
-    y, walks = rng.uniform(-6, 8), _side(rng)
-    return {}, rng.uniform(0.6, 1.5) if walks else 0.0, y, rng.uniform(-180, 180)
-
-
-def _cyclist(rng: np.random.Generator) -> Made:
-    if rng.random() < 0.55:
-        return {}, rng.uniform(3, 7), rng.uniform(-1.6, -0.6), 0.0
-    return {}, rng.uniform(3, 7), LANE_M * 1.5 - rng.uniform(0.3, 1.2), 180.0
-
-
-def _pedestrian(rng: np.random.Generator) -> Made:
-    walks, crosses = rng.uniform(0.9, 1.8), rng.random() < 0.35
-    keys: dict[str, Any] = {"clothing": "vest"} if rng.random() < 0.08 else {}
-    if rng.random() < 0.15:
-        keys["height_m"] = round(rng.uniform(1.1, 1.5), 2)
-    if crosses:
-        left = _side(rng)
-        return keys, walks, rng.uniform(-4, 5), (-90.0 if left else 90.0) + rng.normal(0, 10)
-    left, stands = _side(rng), rng.random() < 0.3
-    y = _beside(left, rng.uniform(0.4, 3))
-    return keys, 0.0 if stands else walks, y, rng.uniform(-180, 180) if stands else 180.0 * _side(rng)
-
-
-def _sign(rng: np.random.Generator) -> Made:
-    left = rng.random() < 0.3
-    y = _beside(left, rng.uniform(0.5, 1.5))
-    return {"height_m": round(rng.uniform(1.6, 2.4), 2)}, 0.0, y, (-1 if left else 1) * (180.0 - rng.uniform(0, 12))
-
-
-def _clutter(rng: np.random.Generator) -> Made:
-    shape = ("tree", "bush", "post", "bin", "delineator")[int(rng.choice(5, p=[0.3, 0.25, 0.2, 0.1, 0.15]))]
-    away = rng.uniform(1.2, 8)
-    return {"shape": shape}, 0.0, _beside(_side(rng), away), rng.uniform(-180, 180)
-
-
-# in the order of placement: moving ones first
-ROLES: dict[str, Role] = {
-    "car": ("cars", CarParams, 3.2, (2.6, 1.0), _car),
-    "deer": ("animals", AnimalParams, 1.0, (0.9, 0.9), _deer),
-    "cyclist": ("cyclists", CyclistParams, 1.1, (1.0, 0.4), _cyclist),
-    "pedestrian": ("pedestrians", PedestrianParams, 0.5, (0.4, 0.4), _pedestrian),
-    "parked_car": ("parked", CarParams, 2.6, (2.6, 1.0), _parking_car),
-    "sign": ("signs", TrafficSignParams, 0.5, (0.4, 0.4), _sign),
-    "clutter": ("clutter", ClutterParams, 0.9, (0.9, 0.9), _clutter),
-}
 
 
 def random_tables(seed: int) -> dict[str, Any]:
@@ -259,3 +203,42 @@ def random_tables(seed: int) -> dict[str, Any]:
     counts = {"pedestrians": (0, 5), "cyclists": (0, 3), "cars": (0, 3), "parked": (0, 3), "animals": (0, 2), "signs": (0, 3)}
     traffic = {"seed": seed, **{key: int(rng.integers(*of)) for key, of in counts.items()}, "clutter": int(rng.integers(2, 9))}
     return {"road": roads[int(rng.integers(3))], "surface": surface, "light": light, "traffic": traffic}
+
+
+def second_tables(seed: int) -> dict[str, Any]:
+    """`random_tables` of the second population, with a drive of DRIVE_S at 5 to 20 m/s round bends and over crests, and rain."""
+    rng = np.random.default_rng([seed, 4])
+    speed = rng.uniform(5, 20)
+    moments = np.arange(0.0, DRIVE_S, 3.0)
+    bends = rng.uniform(-1, 1, len(moments)) * min(2.0 / speed**2, 0.02) * (rng.random() < 0.7)  # at most 2 m/s^2 to the side
+    course = [
+        {"time_s": float(t), "speed_m_s": round(float(np.clip(speed + rng.normal(0, 1), 5, 20)), 2), "curvature_1_m": round(float(c), 5)}
+        for t, c in zip(moments, bends, strict=True)
+    ]
+    grades, x, percent = [], rng.uniform(5, 30), 0.0
+    while x < 25 * DRIVE_S:
+        new = rng.uniform(-6, 6)
+        curve_m = abs(new - percent) / 100 * rng.uniform(600, 2000) + 5  # radii of crests and sags
+        grades.append({"x_m": round(x, 1), "percent": round(new, 2), "curve_m": round(curve_m, 1)})
+        x, percent = x + curve_m + rng.uniform(10, 80), new
+    road = {"kind": "profile", "grades": grades, "roughness_class": "AB"[int(rng.integers(2))], "seed": int(rng.integers(1000))}
+    wet = round(rng.uniform(0.3, 1), 2) if rng.random() < 0.4 else 0.0
+    surface = {"albedo": round(rng.uniform(0.06, 0.25), 3), "wet": wet, "markings": not bends.any(), "seed": int(rng.integers(1000))}
+    counts = {
+        "pedestrians": (1, 6),
+        "cyclists": (1, 4),
+        "cars": (0, 3),
+        "parked": (0, 7),
+        "animals": (0, 2),
+        "signs": (0, 3),
+        "clutter": (2, 9),
+    }
+    traffic = {"seed": seed, "population": "second", **{key: int(rng.integers(*of)) for key, of in counts.items()}}
+    return {
+        "conditions": [{"wet": wet > 0}],
+        "road": road,
+        "surface": surface,
+        "light": {"ambient_lx": round(float(10 ** rng.uniform(-2.5, -0.3)), 4)},
+        "vehicle": {"course": course},
+        "traffic": traffic,
+    }

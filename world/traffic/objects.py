@@ -13,6 +13,7 @@ from luxloop.world.params import Positive, Share
 from luxloop.world.scene.body import Body, Part
 from luxloop.world.traffic.animal import AnimalParams
 from luxloop.world.traffic.car import CarParams
+from luxloop.world.traffic.models import ModelParams
 from luxloop.world.traffic.motorcycle import MotorcycleParams
 from luxloop.world.traffic.people import CyclistParams, PedestrianParams
 from luxloop.world.traffic.shapes import Piece, blob, block, limb, plate, polygon, tube, xyz
@@ -189,6 +190,7 @@ ObjectParams = Annotated[
     | CarParams
     | AnimalParams
     | TrafficSignParams
-    | ClutterParams,
+    | ClutterParams
+    | ModelParams,
     Field(discriminator="kind"),
 ]

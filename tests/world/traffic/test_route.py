@@ -10,9 +10,10 @@ from luxloop.world.roads.base import Floats, MeshGrid
 from luxloop.world.roads.shapes import Flat
 from luxloop.world.scene.body import Figure
 from luxloop.world.scene.vehicle import Motion, VehicleParams, drive
-from luxloop.world.traffic.generator import LANE_M, ROLES, TrafficParams
+from luxloop.world.traffic.generator import TrafficParams
 from luxloop.world.traffic.objects import ObjectParams
-from luxloop.world.traffic.route import OWN_M
+from luxloop.world.traffic.roles import FIRST
+from luxloop.world.traffic.route import LANE_M, OWN_M
 from tests.refusal import refusal
 
 DRIVE_S = 20.0
@@ -83,7 +84,7 @@ def test_nothing_is_ever_in_the_own_way(motion):
     times, led = np.arange(0, DRIVE_S, 0.1), 0
     for seed in range(20):
         for item in along(seed):
-            half_m, width_m = ROLES[kind_of(item)][3]
+            half_m, width_m = FIRST[kind_of(item)][3]
             x, y = seen(item, motion, times)
             # 0.1 m: by which the lamps leave the rear axle's way in a bend, 0.015 * 3.6^2 / 2
             beside = np.abs(y) > LANE_M / 2 + width_m - 0.1
