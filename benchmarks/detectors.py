@@ -42,7 +42,7 @@ def category_and_shape(item: Any) -> tuple[str | None, str]:
 
 def frames(seed: int, population: str) -> Iterator[tuple[str, torch.Tensor, list[SceneObject], list[str]]]:
     """Beam, frame in 0..1, objects and their shapes."""
-    world = {"camera": CAMERA, "headlight": {"model": "ssl-hd-lores"}, **WORLDS[population](seed)}
+    world = {"camera": CAMERA, "detector": {"kind": "network"}, "headlight": {"model": "ssl-hd-lores"}, **WORLDS[population](seed)}
     world["traffic"] |= {"on_road": True}
     steps = round(MOMENTS_S * RATE_HZ)
     scenario = validate({"name": "judged", "steps": steps, "rate_hz": RATE_HZ, "lighting": {}, **world}, f"seed {seed}")

@@ -8,9 +8,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from statistics import median
-from typing import TypeVar
+from typing import TypeVar, get_args
 
 import cv2
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
 
 from luxloop import load, prepare, validate
 from luxloop.loop.simulation.simulated import build_scene
@@ -18,8 +21,10 @@ from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.ground_truth import ground_truth
 from luxloop.world.rendering.surfaces import ExactSurfaces, face_source, surface_source
 from luxloop.world.scene.scene import Scene
-from luxloop.world.traffic.generator import random_tables
+from luxloop.world.traffic.generator import random_tables, second_tables
+from luxloop.world.traffic.models import Vehicle
 
+MIDDLE = ("bicycle", "kick_scooter", "motor_scooter", "boar", "dog", "wheelie_bin", "hydrant", "statue", "poster")
 T = TypeVar("T")
 SCENES = 8
 
@@ -32,6 +37,34 @@ def pictures(folder: Path) -> None:
         image = (result.luminance / white_cd_m2).clamp(0, 1).sqrt()
         image[simulation.world.lit(result.time_s).surfaces.object_id < 0] = sky
         cv2.imwrite(str(folder / f"traffic-{name}.jpg"), (255 * image).byte().cpu().numpy(), [cv2.IMWRITE_JPEG_QUALITY, 80])
+
+
+def second_population(folder: Path) -> None:
+    """All models by day, and streets of the first seeds of development in undimmed high beam."""
+    rows = ((14.0, 7), (18.0, 9), (27.0, 4), (42.0, 3))  # distance, and number of models from left to right
+    models, objects = iter(("adult", "coat", "skirt", "umbrella", "child", "pram", "wheelchair", *MIDDLE, *get_args(Vehicle))), []
+    for x, count in rows:
+        for k in range(count):
+            model, y = next(models), 0.5 * x * (0.5 - (k + 0.5) / count)
+            at = {"position_m": [x, y, 0.0], "yaw_deg": 150.0}
+            objects.append({"kind": "model", "model": model, "name": model, "seed": k, "track": [at]})
+    camera = {"width_px": 1280, "height_px": 400, "hfov_deg": 34.0, "pitch_deg": 3.0}
+    day = prepare(
+        validate({"name": "models", "lighting": {}, "light": {"ambient_lx": 2000.0}, "camera": camera, "objects": objects}, "models")
+    )
+    sheet = [grey(day.at(0).luminance, 350.0)]
+    sheet[0][day.world.lit(0.0).surfaces.object_id < 0] = 205
+    streets = []
+    for seed in range(3_000_000, 3_000_008):
+        world = {"camera": camera | {"width_px": 320, "height_px": 160, "hfov_deg": 30.0, "pitch_deg": 1.5}, **second_tables(seed)}
+        street = prepare(validate({"name": "street", "lighting": {"base": {"beam": "high"}}, **world}, f"seed {seed}"))
+        streets.append(grey(street.at(30).luminance, 6.0))
+    sheet += [np.hstack(streets[:4]), np.hstack(streets[4:])]
+    cv2.imwrite(str(folder / "traffic-second.jpg"), np.vstack(sheet), [cv2.IMWRITE_JPEG_QUALITY, 80])
+
+
+def grey(luminance: Tensor, white_cd_m2: float) -> NDArray[np.uint8]:
+    return (255 * (luminance / white_cd_m2).clamp(0, 1).sqrt()).byte().cpu().numpy()
 
 
 def times() -> None:
@@ -69,4 +102,5 @@ if __name__ == "__main__":
     target = Path(sys.argv[1]) if len(sys.argv) > 1 else Path("pictures")
     target.mkdir(parents=True, exist_ok=True)
     pictures(target)
+    second_population(target)
     times()

@@ -50,7 +50,7 @@ def build(rng: np.random.Generator, child: bool = False, gown: str = "", hair: s
         "stick": ("metal", 0.3),
     }
     hair = hair or str(rng.choice(["short", "long", "hat"], p=[0.45, 0.35, 0.2]))
-    pattern = str(rng.choice(["", "stripes", "checks", "halves"], p=[0.55, 0.15, 0.15, 0.15]))
+    pattern = str(rng.choice(["", "stripes", "checks", "halves"], p=[0.55, 0.15, 0.15, 0.15])) if gown != "coat" else ""
     head = float(1.0 + 0.9 * max(1.5 - height, 0.0))
     return Build(height, rng.uniform(0.85, 1.35), head, gown, hair, rng.random() < 0.25, rng.random() < 0.25, umbrella, pattern, looks)
 
@@ -104,8 +104,8 @@ def figure(who: Build, hips: Floats, lean: float, ankle: Floats, hand: Floats, f
     pieces = [part for piece in blend(capsules, 0.021 * h, 0.009 * h) for part in _patterned(piece, who, hips)]
     if who.gown:
         z = np.array([0.29, 0.24, 0.08, -0.04, -0.18, -0.2] if who.gown == "coat" else [0.1, 0.06, 0.0, -0.1, -0.24, -0.26])
-        across = np.array([0.05, 0.108, 0.098, 0.112, 0.13, 0.13] if who.gown == "coat" else [0.07, 0.082, 0.1, 0.125, 0.15, 0.15]) * w**0.8
-        deep = np.array([0.04, 0.075, 0.085, 0.105, 0.16, 0.16])  # as far as a stride reaches
+        across = np.array([0.05, 0.112, 0.11, 0.118, 0.13, 0.13] if who.gown == "coat" else [0.07, 0.082, 0.1, 0.125, 0.15, 0.15]) * w**0.8
+        deep = np.array([0.04, 0.085, 0.1, 0.11, 0.16, 0.16])  # as far as a stride reaches
         rings = hips + h * (z[:, None] * np.where(z[:, None] > 0, up, (0, 0, 1)))
         pieces.append(tube(thighs, rings, h * np.stack([across, deep * w**0.5], 1), (0, 1, 0), 20))
     if who.hair == "hat":
@@ -187,4 +187,6 @@ def beast(boar: bool, h: float, girth: float, phase: float | None, part: str = "
         ]
     for side in (0.09, -0.09):
         capsules.append(Capsule("head", h * xyz(ear[0], side, ear[1]), h * xyz(ears[0], 1.5 * side, ears[1]), 0.05 * h, 0.025 * h))
-    return blend(capsules, 0.05 * h, 0.025 * h)
+    pieces = blend(capsules, 0.05 * h, 0.025 * h)
+    lowest = min(float(each.vertices[each.faces, 2].min()) for each in pieces)  # of paws, whose tips the corners may miss
+    return [replace(each, vertices=each.vertices - (0, 0, lowest)) for each in pieces]

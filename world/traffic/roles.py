@@ -125,7 +125,11 @@ def _walker(rng: np.random.Generator) -> Made:
     if way < 0.3:
         return keys, speed, rng.uniform(-5, 7), 90.0 * (-1) ** _side(rng) + rng.normal(0, 20)
     y = _beside(_side(rng), rng.uniform(-0.6, 3.5))
-    return (keys, 0.0, y, rng.uniform(-180, 180)) if way < 0.55 else (keys, speed, y, 180.0 * _side(rng) + rng.normal(0, 5))
+    return (
+        (keys, 0.0, y, rng.uniform(-180, 180))
+        if way < 0.55
+        else (keys, speed, y, (180.0 * _side(rng) + rng.normal(0, 5) + 180) % 360 - 180)
+    )
 
 
 def _beast(rng: np.random.Generator) -> Made:
@@ -135,7 +139,7 @@ def _beast(rng: np.random.Generator) -> Made:
 
 def _poster(rng: np.random.Generator) -> Made:
     left = _side(rng)
-    return {"model": "poster"}, 0.0, _beside(left, rng.uniform(0.8, 3)), 180.0 + (1 if left else -1) * rng.uniform(0, 35)
+    return {"model": "poster"}, 0.0, _beside(left, rng.uniform(0.8, 3)), (-1 if left else 1) * (180.0 - rng.uniform(0, 35))
 
 
 def _thing(rng: np.random.Generator) -> Made:

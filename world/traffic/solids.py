@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from luxloop.world.traffic.shapes import Floats, Piece
 
-NEWTON_STEPS: Final = 2
+RELAXATIONS: Final = 2
 SQUARE: Final = ((0, 0), (1, 0), (1, 1), (0, 1))  # cells around an edge, counter-clockwise from its end
 
 
@@ -25,7 +25,7 @@ class Capsule(NamedTuple):
 def blend(capsules: Sequence[Capsule], cell_m: float, soft_m: float) -> list[Piece]:
     """One smooth surface of all capsules: where the sum of exp(-distance / soft_m) is 1. A face is of the part of the nearest capsule.
 
-    Surface nets (Gibson 1998) on a grid of cell_m, their corners moved onto the surface.
+    Elastic surface nets (Gibson 1998) on a grid of cell_m: corners move in turn to the middle of their neighbours and onto the surface.
     """
     ends = np.array([(each.start, each.stop) for each in capsules])  # [N, 2, 3]
     radii = np.array([(each.r_start, each.r_stop) for each in capsules])  # [N, 2]
@@ -42,7 +42,11 @@ def blend(capsules: Sequence[Capsule], cell_m: float, soft_m: float) -> list[Pie
         total[box] += np.exp(-distance / soft_m).reshape(total[box].shape)
     vertices, faces = _surface_nets(total > 1)
     vertices = low + cell_m * vertices
-    for _ in range(NEWTON_STEPS):
+    for _ in range(RELAXATIONS):
+        around = np.zeros_like(vertices)
+        for k in (1, 2):
+            np.add.at(around, faces, vertices[np.roll(faces, k, 1)])
+        vertices = around / (2 * np.bincount(faces.ravel(), minlength=len(vertices))[:, None])
         distance, outwards = _distances(vertices, ends, radii, soft_m)
         depth = soft_m * np.log(np.exp(-distance / soft_m).sum(1, keepdims=True))
         vertices = vertices + (depth * outwards / np.square(outwards).sum(1, keepdims=True).clip(0.1)).clip(-cell_m, cell_m)

@@ -97,6 +97,9 @@ const OBJECTS: readonly Addable[] = [
   object("traffic sign", { kind: "traffic_sign" }, 180),
   object("box", { kind: "box", size_m: [0.6, 0.6, 0.6], category: "other" }, 0),
   ...["tree", "bush", "post", "bin", "delineator"].map((shape) => object(shape, { kind: "clutter", shape }, 0)),
+  ...["lorry", "bus", "tractor", "motor_scooter", "wheelchair", "pram", "child", "boar", "dog", "poster"].map((model) =>
+    object(model.replace("_", " "), { kind: "model", model }, 180),
+  ),
 ];
 
 function object(name: string, table: Table, yaw_deg: number): Addable {

@@ -49,7 +49,7 @@ schema_version = 1
 """
 TAIL = """
 # Objects, as many as wanted: kind "box", "mesh" (from a file), "pedestrian", "cyclist", "motorcycle", "car", "animal",
-# "traffic_sign", "clutter".
+# "traffic_sign", "clutter", "model".
 # They may move, appear and vanish; a table [traffic] puts some there at random.
 # [[objects]]
 # kind = "box"
