@@ -117,6 +117,7 @@ class BodyFilter:
     @classmethod
     def first(cls, params: BodyParams, ego: Ego, reach_m: float, symbol_x_m: float) -> "BodyFilter":
         """The estimate after the first measurements, with a road strip up to reach_m ahead."""
+        over_wheels = ego.over_wheels  # which the first samples alone do not tell
         ego = next(filter(None, (ego_of(samples, ego.vehicle, time_s) for time_s, samples in ego.since(-math.inf))))
         front, rear = 2 * ego.pivot_x_m - ego.rear_x_m, ego.rear_x_m
         start = math.floor((rear - BEHIND_M) / CELL_M) * CELL_M
@@ -133,7 +134,7 @@ class BodyFilter:
         body = cls(params, ego.time_s, 0.0, float(ego.speed_m_s), start, start, slope, (front, rear), mean, covariance, distance_m)
         rest = torch.eye(len(mean), dtype=torch.float64)
         rest[:3, BODY:] = body._bases(torch.zeros(1, dtype=torch.float64))[0]  # the body rests on the road: P = R P R'
-        body = replace(body, covariance=rest @ covariance @ rest.T, over_wheels=ego.over_wheels)
+        body = replace(body, covariance=rest @ covariance @ rest.T, over_wheels=over_wheels)
         if body.over_wheels:  # the wheels define the level plane
             rows = torch.cat([torch.zeros(3, BODY, dtype=torch.float64), rest[:3, BODY:]], 1)
             body = body._correct(rows, mean.new_zeros(3), mean.new_tensor(WHEELS_NOISE).square())
@@ -211,15 +212,17 @@ class BodyFilter:
     def ground(self, ego: Ego, time_s: float) -> Tensor:
         """Height in m, slope in rad and its change in rad/m `[3]` of the ground frame at a time.
 
-        Without an attitude unit those of the low-passed road strip, as in `luxloop.world.scene.vehicle.ground_levels`.
+        Without an attitude unit those of the low-passed road strip, as in `luxloop.world.scene.vehicle.ground_levels`, where it is nearest.
         """
         if not self.over_wheels:
             height, slope, _, bend = ego.at(time_s).ground
             return exact(torch.stack([height, slope, bend / ego.speed_m_s.clamp(min=1.0)]))
-        way_m, cells = self.way_m + self.speed_m_s * (time_s - self.time_s), self._cells()
+        cells = self._cells()
         heights = torch.cat([self.trail, self.mean[BODY : BODY + len(cells)]])  # [k] m
-        behind = self.start_m + CELL_M * torch.arange(-len(self.trail), 0, dtype=torch.float64)
-        ahead = torch.cat([behind, cells]) - way_m - self.axles_m[1]  # of the rear axle
+        places = torch.cat([self.start_m + CELL_M * torch.arange(-len(self.trail), 0, dtype=torch.float64), cells])
+        first, last = (float(each) - self.axles_m[1] for each in places[[0, -1]])  # ways of the rear axle
+        way_m = min(max(self.way_m + self.speed_m_s * (time_s - self.time_s), first), last)
+        ahead = places - way_m - self.axles_m[1]  # of the rear axle
         near, far = ((1 + (2 * math.pi * ahead / width).cos()) * (ahead.abs() < width / 2) for width in LOW_PASS_M)
         fit = torch.stack([torch.ones_like(ahead), ahead - CELL_M / 2])[:, 1:]  # of the slope: weighted least squares
         climb, curvature = torch.linalg.solve(far[1:] * fit @ fit.T, far[1:] * fit @ heights.diff() / CELL_M)
@@ -310,7 +313,7 @@ def _take(body: BodyFilter, time_s: float, samples: Samples, vehicle: VehiclePar
     if (ego := ego_of(samples, vehicle, time_s)) is None:
         return body
     past = tuple(observation for observation in body.observations if observation[0] <= time_s)
-    slope_rad = float(body.ground(ego, ego.attitude_s)[1])
+    slope_rad = float(body.ground(ego, time_s)[1])
     known = replace(body, speed_m_s=float(ego.speed_m_s), slope_rad=slope_rad, observations=past).at_last_observation()
     return replace(known.at(time_s).measure(ego), observations=body.observations[len(past) :])
 

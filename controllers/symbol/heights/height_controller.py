@@ -22,7 +22,7 @@ from luxloop.controllers.symbol.sensing.road_shape import HERE, pose_of_rectangl
 from luxloop.controllers.symbol.sensing.symbol_sensor import Observation, SymbolSensor
 from luxloop.perception.birdseye import Region
 from luxloop.perception.camera import camera_view
-from luxloop.perception.egomotion import Ego
+from luxloop.perception.egomotion import KEPT_S, Ego
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.caches import keeping
 from luxloop.world.frames import inverse, transform
@@ -192,11 +192,12 @@ class HeightController:
         return HeightControllerState(road_map, body_poses.time_s, projection, body, level_rad, first, sought, body_poses.ground)
 
     def _filter(self, before: BodyFilter | None, ego: Ego | None, by_s: float = math.inf) -> BodyFilter | None:
-        """The body filter after the measurements up to by_s; unchanged without measurements or axle positions."""
+        """The body filter after the measurements up to by_s; unchanged without measurements or axle positions, and anew after a gap."""
         if ego is None or ego.pivot_x_m == ego.rear_x_m:
             return before
-        body = BodyFilter.first(self.params.body, ego, self.reach_m, self.projector.params.x_m) if before is None else before
-        return body.update(ego, by_s)
+        if before is None or ego.time_s - before.time_s > KEPT_S:
+            before = BodyFilter.first(self.params.body, ego, self.reach_m, self.projector.params.x_m)
+        return before.update(ego, by_s)
 
     def _observe(
         self, registration: Registration, road_map: RoadMap, observation: Observation, body_poses: BodyPoses, anew: bool = False

@@ -28,10 +28,11 @@ from tests.loop.conftest import simulation_of
 REGION, GRID = Region(14.0, 20.0, 1.5, -1.5), (60, 30)
 EYE, SWUNG = torch.tensor([-1.6, 0.0, 1.35]), torch.tensor([-1.58, 0.01, 1.38])
 BODY, HERE = BodyParams(), torch.eye(4, dtype=torch.float64)
+CAR, LIKE = VehicleParams(course=(CourseParams(speed_m_s=20.0),)), torch.zeros(1, dtype=torch.float64)
 AHEAD = torch.tensor([17.0, 0.0, 0.0, 1.0], dtype=torch.float64)
 SOFT_AND_STIFF = [0.7, 1.3]  # true natural frequencies over the usual ones: springs of half and 1.7 times the stiffness
 SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=320", "camera.height_px=240", "camera.oversampling=2"]
-NOISE = ("wheels.noise_m_s", "gyro.yaw_noise_deg_s", "gyro.noise_deg_s", "attitude.noise_deg", "attitude.heave_noise_m")
+NOISE = ("wheels.noise_m_s", "gyro.yaw_noise_deg_s", "gyro.noise_deg_s", "accelerometer.noise_m_s2", "suspension.noise_m")
 EXACT = [f"sensors.{key}=0" for key in NOISE]
 
 
@@ -128,6 +129,25 @@ def test_a_nod_is_predicted_two_periods_ahead():
     assert body.update(now) is body, "the same measurement says nothing new"
 
 
+@pytest.mark.parametrize("begins_s", [0.0, 4.0])
+def test_a_body_is_known_where_sensors_measure_one_after_the_other(begins_s):
+    sensors = Sensors(drive(CAR, cast(Any, Long()), 8.0), SensorParams(), 1 / 30, 0)
+    after_s = {"wheels": 0.0, "gyro": 0.001, "accelerometer": 0.002, "suspension": 0.003}
+    came = [*sensors.newest(begins_s, LIKE), *sensors.arriving(begins_s, begins_s + 3.0, LIKE)]
+    ego = ego_of(
+        recent((), [replace(each, measured_s=each.measured_s + after_s[each.sensor]) for each in came]), CAR, begins_s + 3.1, 1 / 60
+    )
+    assert ego is not None
+    body = BodyFilter.first(BODY, ego, 16.0, 17.0).update(ego)
+    assert body.over_wheels and math.isfinite(body.slope_rad) and bool(body.mean.isfinite().all())
+    assert body.time_s == max(each.measured_s for each in ego.samples)
+
+
+def test_a_body_is_estimated_anew_after_a_gap_in_which_samples_were_lost():
+    simulation = simulation_of(load("driving", [*SMALL, "rate_hz=0.4", "steps=4", "functions.symbol.controller={name='luxloop'}"]))
+    assert [result.step for result in simulation.run()] == [0, 1, 2, 3]
+
+
 def test_a_mode_follows_what_is_under_it_as_a_linear_system_does():
     share, base = np.linspace(0, 1, PARTS + 1), np.random.default_rng(3).normal(size=PARTS + 1)
     omega, damping = 2 * np.pi * 1.4, 0.35
@@ -210,8 +230,7 @@ def test_a_body_is_predicted_on_a_road_that_was_seen_and_not_on_another(sensor, 
 
 def test_the_ground_is_found_from_the_road_without_an_attitude_unit():
     *_, body = driven(True, 60, fitted=("wheels", "gyro", "suspension"))
-    car = VehicleParams(course=(CourseParams(speed_m_s=20.0),))
-    now = drive(car, cast(Any, Long()), 3.0).at(body.time_s)
+    now = drive(CAR, cast(Any, Long()), 3.0).at(body.time_s)
     height, slope, _ = body.ground(nodding(0), body.time_s).tolist()
     # as well as heave and pitch over the wheels are taken to be known; the waves are 40 mm high and rise by 21 mrad
     assert height == pytest.approx(now.ground_m, abs=2e-3)
