@@ -96,7 +96,10 @@ def measure(given: Namespace) -> dict[str, Any]:
     sizes = network[network["beam"].eq(BEAMS[0])].groupby(["population", "class", "shape"]).size().rename("objects")
     by_shape = by_shape.join(sizes)
     show("The network by shape", {", ".join(key): row.to_dict() for key, row in by_shape.iterrows()})
-    return {"summary": summary.reset_index().to_dict("records"), "by_shape": by_shape.reset_index().to_dict("records")}
+    return {
+        "summary": {" ".join(key): row.dropna().to_dict() for key, row in summary.iterrows()},
+        "by_shape": {" ".join(key): row.to_dict() for key, row in by_shape.iterrows()},
+    }
 
 
 if __name__ == "__main__":

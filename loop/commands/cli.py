@@ -135,7 +135,12 @@ def _complaint(error: CycloptsError) -> str:
 
 @app.command
 def new(
-    file: Path | None = None, /, *, like: str | None = None, traffic: Seed | None = None, population: Literal["first", "second"] = "first"
+    file: Path | None = None,
+    /,
+    *,
+    like: str | None = None,
+    traffic: Seed | None = None,
+    population: Literal["first", "second"] | None = None,
 ) -> None:
     """Write a scenario file that is ready to run: a commented template with a symbol, a copy of a shipped scenario or example, or a night.
 
@@ -148,10 +153,12 @@ def new(
     traffic
         Seed: write a random night scene with traffic, road and light instead of the template.
     population
-        Population of the random night: first, as in training of the network; second, other bodies along a drive on a hilly road.
+        Bodies of the random night: first (default), as in training of the network; second, others, along a drive on a hilly road.
     """
     if like is not None and traffic is not None:
         raise LuxloopError("--like copies a scenario and --traffic draws one; give one of the two")
+    if population is not None and traffic is None:
+        raise LuxloopError("--population is that of a night drawn from a seed; give --traffic SEED, too")
     if like is not None:
         source = original(like)
         file = file or Path(source.name)
@@ -161,7 +168,7 @@ def new(
     elif file is not None and traffic is not None:
         from luxloop.loop.scenario.text import night
 
-        text = night(file.stem, traffic, population)
+        text = night(file.stem, traffic, population or "first")
     elif file is not None:
         text = copy_text(TEMPLATE, file.stem)
     else:

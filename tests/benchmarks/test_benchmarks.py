@@ -74,6 +74,7 @@ PROMISES = {
     "batch": lambda found: found["ms"]["320 x 180 px"]["4"]["speed-up"] > 0,
     "clients": lambda found: found["pictures"]["640 x 360"]["bytes"] == 640 * 360 * 11,
     "convergence": lambda found: len(found["runs"]) == 3 and found["lost"] < 3,
+    "detectors": lambda found: len(found["summary"]) == 8 and found["summary"]["network first high"]["recall"] > 0.7,
     "driving": lambda found: found["ms"]["night_drive"]["find"] > found["ms"]["driving"]["find"],  # which has no detector
     "jpo": jpo_improves,
     # the goals, 20 Hz and 3 %

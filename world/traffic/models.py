@@ -51,7 +51,7 @@ def _pram(rng: np.random.Generator, phase: float | None, lit: bool) -> Shape:
 
 
 def _rides(rng: np.random.Generator, phase: float | None, lit: bool, machine: Callable[..., Machine], helmet: float = 0.0) -> Shape:
-    who = replace(build(rng, hair="helmet" if rng.random() < helmet else ""), umbrella=False)
+    who = build(rng, hair="helmet" if rng.random() < helmet else "")
     return Shape(machine(who), who.looks | vehicles.looks(rng, lit))
 
 

@@ -51,6 +51,7 @@ def test_every_example_can_be_copied_from_where_luxloop_is_installed(lux, like):
         ("new my.toml --like gfbh", "'gfhb'"),
         ("new my.toml --traffic -1", "for --traffic; must be >= 0"),
         ("new my.toml --traffic 1 --like gfhb", "one of the two"),
+        ("new my.toml --population second", "give --traffic SEED"),
     ],
 )
 def test_new_that_cannot_be_is_refused(lux, tmp_path, arguments, words):
@@ -64,3 +65,9 @@ def test_new_night_is_valid_and_its_traffic_comes_from_the_seed(lux):
     assert len(a.all_objects) > 5 and a.all_objects != b.all_objects and a.surface != b.surface
     assert all(each.on_road for each in a.all_objects)
     assert lux("check", "a.toml")[0] == 0
+
+
+def test_new_night_of_the_second_population_drives_among_models(lux):
+    assert lux("new", "a.toml", "--traffic", "7", "--population", "second")[0] == 0
+    night = load("a.toml")
+    assert {each.kind for each in night.all_objects} == {"model"} and night.vehicle is not None and night.road.kind == "profile"
