@@ -29,9 +29,9 @@ Model = Literal[Walker, Rider, Vehicle, Beast, Thing]
 
 @dataclass(frozen=True)
 class Shape:
-    """A body at a moment. cycle_m: distance in which its gait repeats, 0 of what has none."""
+    """A body at a moment. machine: makes it. cycle_m: distance in which its gait repeats, 0 of what has none."""
 
-    machine: Machine
+    machine: Callable[[], Machine]
     looks: Looks
     cycle_m: float = 0.0
 
@@ -42,27 +42,27 @@ Wheels = tuple[float, float] | None  # as those of `PoseTrack`
 
 def _walks(rng: np.random.Generator, phase: float | None, lit: bool, child: bool = False, gown: str = "", umbrella: bool = False) -> Shape:
     who = build(rng, child, gown, umbrella=umbrella)
-    return Shape(Machine(walker(who, phase, rng=rng)), who.looks, STRIDE * who.height_m)
+    return Shape(lambda: Machine(walker(who, phase, rng=rng)), who.looks, STRIDE * who.height_m)
 
 
 def _pram(rng: np.random.Generator, phase: float | None, lit: bool) -> Shape:
     who = build(rng, gown=str(rng.choice(["", "coat"])))
-    return Shape(vehicles.pram(who, phase), who.looks | vehicles.looks(rng, lit), STRIDE * who.height_m)
+    return Shape(lambda: vehicles.pram(who, phase), who.looks | vehicles.looks(rng, lit), STRIDE * who.height_m)
 
 
 def _rides(rng: np.random.Generator, phase: float | None, lit: bool, machine: Callable[..., Machine], helmet: float = 0.0) -> Shape:
     who = build(rng, hair="helmet" if rng.random() < helmet else "")
-    return Shape(machine(who), who.looks | vehicles.looks(rng, lit))
+    return Shape(lambda: machine(who), who.looks | vehicles.looks(rng, lit))
 
 
 def _cycles(rng: np.random.Generator, phase: float | None, lit: bool) -> Shape:
     who = build(rng, hair="helmet" if rng.random() < 0.4 else "")
     basket, start = rng.random() < 0.5, rng.random()
-    return Shape(vehicles.bicycle(who, start if phase is None else phase, basket), who.looks | vehicles.looks(rng, lit), TURN_M)
+    return Shape(lambda: vehicles.bicycle(who, start if phase is None else phase, basket), who.looks | vehicles.looks(rng, lit), TURN_M)
 
 
 def _drives(rng: np.random.Generator, phase: float | None, lit: bool, machine: Callable[[np.random.Generator], Machine]) -> Shape:
-    return Shape(machine(rng), vehicles.looks(rng, lit))
+    return Shape(lambda: machine(rng), vehicles.looks(rng, lit))
 
 
 def _beast(rng: np.random.Generator, phase: float | None, lit: bool, boar: bool) -> Shape:
@@ -71,7 +71,8 @@ def _beast(rng: np.random.Generator, phase: float | None, lit: bool, boar: bool)
     fur = rng.uniform(0.04, 0.15) if boar else rng.uniform(0.05, 0.6)
     names = ("trunk", "head", "legs", "tail")
     looks: Looks = {name: ("fur", fur if name in ("trunk", "tail") or boar else rng.uniform(0.5, 1.2) * fur) for name in names}
-    return Shape(Machine(beast(boar, height, rng.uniform(0.85, 1.15), phase)), looks, GAIT * height)
+    girth = rng.uniform(0.85, 1.15)
+    return Shape(lambda: Machine(beast(boar, height, girth, phase)), looks, GAIT * height)
 
 
 def _stands(rng: np.random.Generator, phase: float | None, lit: bool, pieces: Callable[[np.random.Generator], list[Piece]]) -> Shape:
@@ -84,7 +85,8 @@ def _stands(rng: np.random.Generator, phase: float | None, lit: bool, pieces: Ca
         "frame": ("metal", 0.25),
         "sheet": ("matt", rng.uniform(0.4, 0.8)),
     }
-    return Shape(Machine(pieces(rng)), looks | {f"print_{name}": ("matt", albedo) for name, (_, albedo) in build(rng).looks.items()})
+    printed: Looks = {f"print_{name}": ("matt", albedo) for name, (_, albedo) in build(rng).looks.items()}
+    return Shape(lambda: Machine(pieces(rng)), looks | printed)
 
 
 def _wheelie_bin(rng: np.random.Generator) -> list[Piece]:
@@ -186,11 +188,11 @@ class ModelParams(RandomParams):
         track, (_, _, make) = self.pose_track(), MODELS[self.model]
         moves = len(track.times_s) > 1
         start = float(np.random.default_rng([self.seed, 1]).random())
-        first = make(self.random(), start if moves else None, self.lit)
 
         def shape(phase: float) -> Body:
-            at = make(self.random(), phase, self.lit) if moves else first
-            machine = at.machine
-            return self.body(machine.pieces, at.looks, track, spotlights(machine.head, machine.tail) if self.lit else ())
+            made = make(self.random(), phase if moves else None, self.lit)
+            machine = made.machine()
+            return self.body(machine.pieces, made.looks, track, spotlights(machine.head, machine.tail) if self.lit else ())
 
-        return Figure(self.name, shape, first.cycle_m, track, start, SHAPES) if moves and first.cycle_m else shape(start)
+        cycle_m = make(self.random(), None, self.lit).cycle_m if moves else 0.0
+        return Figure(self.name, shape, cycle_m, track, start, SHAPES) if cycle_m else shape(start)

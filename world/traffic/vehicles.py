@@ -108,7 +108,7 @@ def car(rng: np.random.Generator, kind: Car) -> Machine:
             pieces.append(limb("body", (foot[0], side * inner, foot[1]), (top[0], side * narrow, top[1] - 0.04), 0.035, 0.035))
         mirror = xyz(front[0] - 0.12 * length, side * (half + 0.06), front[1] + 0.08)
         pieces.append(box("body", mirror - xyz(0.05, 0.1, 0.07), mirror + xyz(0.06, 0.1, 0.07), 0.03))
-    pieces += _pane(front, front_top - (0, 0.06), inner - 0.06, narrow - 0.04)
+    pieces += _pane(front, front_top - (0, 0.03), inner - 0.06, narrow - 0.04)
     radius = 0.33 if kind in ("microcar", "estate") else 0.38
     axles = np.array([-0.3, 0.3]) * size[0]
     for x in axles:
@@ -170,9 +170,9 @@ def bus(rng: np.random.Generator) -> Machine:
     """A bus of 12 m or 9 m, 2.55 m wide (Directive 96/53/EC)."""
     length, half, height = float(rng.choice([9.0, 12.0])), 1.275, rng.uniform(2.9, 3.3)
     front = length / 2
-    side = [(-front, 0.35), (-front + 0.1, height), (front - 0.15, height), (front, 1.4), (front, 0.3)]
+    side = [(-front, 0.35), (-front + 0.1, height), (front - 0.15, height), (front, 0.9), (front, 0.3)]
     pieces = [prism("body", side, half, 0.08)]
-    pieces += _pane(np.array([front, 0.95]), np.array([front - 0.15, height - 0.35]), half - 0.12, half - 0.12)
+    pieces += _pane(np.array([front, 0.9]), np.array([front - 0.15, height]), half - 0.12, half - 0.12)
     pieces.append(box("panel", (-front + 0.5, -half - 0.004, 0.4), (front - 0.6, half + 0.004, 0.75), 0.002))
     for x in np.arange(-front + 0.35, front - 1.3, 1.25):
         pieces.append(box("windows", (x, -half - 0.006, 1.2), (x + 1.15, half + 0.006, 2.35), 0.002))

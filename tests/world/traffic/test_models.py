@@ -92,7 +92,12 @@ def test_people_are_known_by_their_heads(model, category, part):
 def test_vehicles_have_windscreens_and_lamps_that_can_be_off():
     for model in ("microcar", "pickup", "lorry", "bus", "tractor"):
         lit, dark = body(model), body(model, lit=False)
-        assert "windscreen" in {each.name for each in lit.parts}
+        low, high = lit.mesh.triangles.min((0, 1)), lit.mesh.triangles.max((0, 1))
+        ahead = np.array([(20.0, y, z) for y in np.linspace(low[1], high[1], 30) for z in np.linspace(low[2], high[2], 30)])
+        faces = lit.mesh.ray.intersects_first(ahead, np.tile([-1.0, 0.0, 0.0], (len(ahead), 1)))
+        assert lit.part_of_face is not None
+        seen = [lit.parts[part].name for part in lit.part_of_face[faces[faces >= 0]].tolist()]
+        assert seen.count("windscreen") > 0.2 * len(seen)
         assert len(lit.spotlights) == 4 and not dark.spotlights
         assert max(float(each.position[0]) for each in lit.spotlights) > 0 > min(float(each.position[0]) for each in lit.spotlights)
 
