@@ -200,7 +200,7 @@ class Onlooker:
             away = places - eye
             lx = intensities * lux_per_cd(away, lit.eye.T_world_view[:3, 2:3]).float()
             if (medium := lit.scene.air_at(lit.time_s)) is not None:
-                lx = lx * medium.transmittance(away.norm(dim=0)).float()
+                lx = lx * medium.transmittance(away).float()
             seen = sees(self._others(lit), lit.eye.origin, places, LAMP_M) & (lx > 0)
             total += torch.tensor(rgb)[:, None, None] * veil(lit.eye, places[:, seen], lx[seen], self.age_years)
         return total

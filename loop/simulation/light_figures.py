@@ -313,7 +313,7 @@ def _arriving(
             texture = module.textures.light_texture(light.u).cpu()
             ray = T_world_headlight[:3, :3].T @ -away
             lx = command.intensity * float(module.headlight.intensity(texture, ray)) * per_cd
-            through = 1.0 if medium is None else float(medium.transmittance(away.norm()))
+            through = 1.0 if medium is None else float(medium.transmittance(away))
             found.append((through * lx, per_cd / float(lux_per_cd(away))))
     return found
 

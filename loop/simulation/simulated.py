@@ -158,7 +158,7 @@ class SimulatedPlant:
         t_s = self._at(len(self.shares) * step + frame * self.drawings)
         for lamp in self.disturbances.oncoming_in(step, frame):
             view, position, medium = self.world.view_at(t_s), lamp.position_at(t_s), self.world.scene.air_at(t_s)
-            dimmed = 1.0 if medium is None else float(medium.transmittance((position - view.origin).norm()))
+            dimmed = 1.0 if medium is None else float(medium.transmittance(position - view.origin))
             luminance = luminance + dimmed * glare(view.within(*part), position, lamp, device)
         noise = FrameNoise.of(self.seed, step, frame).part(part, luminance) if camera.noise else None
         return expose(luminance, camera, noise if noise is None or noisy == 1 else noisy * noise)

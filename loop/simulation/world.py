@@ -17,6 +17,7 @@ from luxloop.perception.detection.detector import Detections, TruthParams
 from luxloop.perception.ground_truth import Box, GroundTruth, ground_truth, material_picture, part_mask, part_picture
 from luxloop.world.caches import Part, PartialImage, keeping
 from luxloop.world.frames import View, inverse
+from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand
 from luxloop.world.light.backscatter import Backscatter
 from luxloop.world.light.emitters import ambient_luminance
@@ -172,8 +173,8 @@ class LitScene:
             return luminance
         T_world_body = self.vehicle.T_world_body
         lamps = torch.stack([(T_world_body @ each.T_body_headlight.to(T_world_body))[:3, 3] for each in self.modules]).mean(0)
-        distance = (self.surfaces.position - lamps.to(self.surfaces.position)[:, None, None]).norm(dim=0)
-        transmittance = haze.transmittance * haze.medium.transmittance(distance)
+        from_lamps = self.surfaces.position - lamps.to(self.surfaces.position)[:, None, None]
+        transmittance = haze.transmittance * haze.medium.transmittance(from_lamps)
         return luminance / transmittance.where(transmittance > 0, 1.0)
 
     def light(self, lights: Sequence[Tensor], commands: Commands = ()) -> tuple[Tensor, Tensor]:
@@ -196,16 +197,13 @@ class LitScene:
         """Luminance `[..., h, w]` in cd/m^2 of the lamps' light in the air, at a part of the whole view, None for all; 0.0 without any."""
         if self.backscatter is None:
             return 0.0
-        lit = (
-            (
-                module.headlight,
-                module.turned(command),
-                module.textures.light_texture(light.u if command.intensity == 1 else command.intensity * light.u, light.band),
-            )
-            for module, light, command in zip(self.modules, lights, commands or (REST,) * len(lights), strict=True)
-            if not (light.band is not None and light.band.stop <= light.band.start) and bool(light.u.any())
-        )
-        return self.backscatter.luminance(lit, part or self.eye.whole)
+        lit = list[tuple[Headlight, Tensor, Tensor]]()
+        for module, light, command in zip(self.modules, lights, commands or (REST,) * len(lights), strict=True):
+            if (light.band is None or light.band.start < light.band.stop) and bool(light.u.any()):
+                u = light.u if command.intensity == 1 else command.intensity * light.u
+                shown = module.textures.light_texture(u, light.band).flatten(-2) if self.direct else u  # direct light needs it, too
+                lit.append((module.headlight, module.turned(command), shown))
+        return self.backscatter.luminance(lit, part or self.eye.whole, self.direct)
 
     @cached_property
     def objects(self) -> tuple[GroundTruth, ...]:

@@ -39,10 +39,11 @@ class Backscatter:
         """Width and height of a cell in px."""
         return 1 << max((self.view.width // CELLS).bit_length() - 1, 0)
 
-    def luminance(self, lit: Iterable[tuple[Headlight, Tensor, Tensor]], part: Part) -> Tensor | float:
+    def luminance(self, lit: Iterable[tuple[Headlight, Tensor, Tensor]], part: Part, of_texels: bool) -> Tensor | float:
         """Luminance `[..., h, w]` in cd/m^2 at a part of the image, interpolated between the centres of cells; 0.0 without a module.
 
-        lit: modules with their pose `[4, 4]` on the vehicle, float64, and light texture `[..., rows, cols]` in cd.
+        lit: modules with their pose `[4, 4]` on the vehicle, float64, and light texture `[..., n_texels]` in cd if of_texels, else
+        utilisation `[..., n_p]`, which saves the texture.
         """
         size, columns = self.cell_px, self._cells.width
         (top, bottom), (left, right) = (
@@ -50,9 +51,9 @@ class Backscatter:
             for each, n in zip(part, (self._cells.height, columns), strict=True)
         )
         total: Tensor | float = 0.0
-        for headlight, T_body_headlight, texture in lit:
-            matrix = self._matrix(headlight, tuple(T_body_headlight.flatten().tolist())).band(top * columns, bottom * columns)
-            total = total + multiply(matrix, texture.flatten(-2))
+        for headlight, T_body_headlight, light in lit:
+            matrix = self._matrix(headlight, tuple(T_body_headlight.flatten().tolist()), of_texels)
+            total = total + multiply(matrix.band(top * columns, bottom * columns), light)
         if isinstance(total, float):
             return total
         cells = total.unflatten(-1, (-1, columns))[..., left:right]
@@ -67,10 +68,12 @@ class Backscatter:
         shape = -(-view.width // size), -(-view.height // size)
         return View(*shape, view.fx / size, view.fy / size, view.cx / size, view.cy / size, view.T_world_view)
 
-    def _matrix_of(self, headlight: Headlight, numbers: tuple[float, ...]) -> Csr:
+    def _matrix_of(self, headlight: Headlight, numbers: tuple[float, ...], of_texels: bool) -> Csr:
         T_body_headlight = torch.tensor(numbers, dtype=torch.float64).view(4, 4)
         rays, origin = self._cells.rays().flatten(1), self.view.origin
         rays = rays / rays.norm(dim=0)
         to_ground = torch.where(rays[2] < 0, -origin[2] / rays[2], FARTHEST_M).clamp(0, FARTHEST_M)
         given = T_body_headlight, origin.float(), rays.float(), to_ground.float()
-        return airlight_matrix(headlight, *given, self.medium, SAMPLES).to(headlight.matrix.values.device)
+        matrix = airlight_matrix(headlight, *given, self.medium, SAMPLES)
+        matrix = matrix if of_texels else Csr.from_scipy(matrix.to_scipy() @ headlight.matrix.to_scipy())
+        return matrix.to(headlight.matrix.values.device)

@@ -50,7 +50,7 @@ def ambient_luminance(
 def _lux_per_cd(away: Tensor, normal: Tensor, haze: Haze | None) -> Tensor:
     """As `lux_per_cd`, through the air."""
     clear = lux_per_cd(away, normal)
-    return clear if haze is None else clear * haze.medium.transmittance(away.norm(dim=0))
+    return clear if haze is None else clear * haze.medium.transmittance(away)
 
 
 def spot_intensity(spot: Spotlight, ray: Tensor) -> Tensor:

@@ -79,7 +79,7 @@ def lit_surface(
     texel, weight = bilinear(headlight, row[index], col[index])
     beta = _luminance_factor(gbuffer, index, away)
     if (haze := gbuffer.haze) is not None:
-        factor = factor * haze.medium.transmittance(away.norm(dim=0))
+        factor = factor * haze.medium.transmittance(away)
         beta = beta * haze.transmittance.flatten()[index]
     return LitSurface(index, texel, weight, factor, beta)
 

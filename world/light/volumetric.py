@@ -132,7 +132,8 @@ def _midpoints(
         angle = first[:, None] + step[:, None] * (torch.arange(samples).to(rays) + 0.5)  # [M, samples]
         along = closest[:, None] + height[:, None] * angle.tan()  # m from the eye
         # The light flies from the source to the point, then from there back along the ray: its deflection's cosine is that of both.
-        weight = phase(-angle.sin(), medium.asymmetry) * medium.transmittance(height[:, None] / angle.cos() + along)
+        passed = torch.exp(-medium.extinction_per_m * (height[:, None] / angle.cos() + along))
+        weight = phase(-angle.sin(), medium.asymmetry) * passed
         yield part, eye[:, None, None] + rays[:, part, None] * along, weight * (medium.scattering_per_m * step / height)[:, None]
 
 

@@ -56,8 +56,8 @@ class GBuffer:
         """The same surfaces in other air, None for clear air. eye: `[3]` m, the view's origin."""
         if medium is None:
             return replace(self, haze=None)
-        distance = (self.position - eye.to(self.position)[:, None, None]).norm(dim=0)
-        return replace(self, haze=Haze(medium, medium.transmittance(distance) * (self.object_id >= 0)))
+        away = self.position - eye.to(self.position)[:, None, None]
+        return replace(self, haze=Haze(medium, medium.transmittance(away) * (self.object_id >= 0)))
 
     def to(self, device: torch.device) -> "GBuffer":
         moved = self._map(lambda image: image.to(device))

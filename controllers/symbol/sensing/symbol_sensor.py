@@ -197,11 +197,13 @@ class SymbolSensor:
         if frames is None or (air := self._backscatter) is None:
             return frames
         on, off = frames
-        textures = zip(self.projector.modules, self.projector.textures(lights), strict=True)
-        lit = [(module.pixel_controller.headlight, module.T_body_headlight.double().cpu(), texture) for module, texture in textures]
+        lit = [
+            (module.pixel_controller.headlight, module.T_body_headlight.double().cpu(), light.u - beam.u)
+            for module, light, beam in zip(self.projector.modules, lights, self.projector.resting, strict=True)
+        ]
 
         def part_of(part: Part) -> Tensor:
-            return expose(luminance_of(off[part], self.camera) + air.luminance(lit, part), self.camera, quantise=False)
+            return expose(luminance_of(off[part], self.camera) + air.luminance(lit, part, of_texels=False), self.camera, quantise=False)
 
         return on, PartialImage.of(off.shape[-2], off.shape[-1], lights[0].u[:0], part_of)
 

@@ -20,6 +20,7 @@ from tests.world.light.test_volumetric import I_CD, uniform
 VIEW = camera(640, 360)
 LAMP = pose_from_degrees((0.0, 0.6, 0.75), pitch_deg=2.0)
 TEXTURE = torch.full((4, 4), I_CD)
+LIGHT = TEXTURE.flatten()
 PIXELS = ((180, 320), (250, 100), (300, 500), (60, 320))  # row, column: near the horizon, on the road, above it
 
 
@@ -54,20 +55,22 @@ def single_scattering(row: int, column: int, visibility_m: float) -> float:
 @pytest.mark.parametrize("visibility_m", [50.0, 100.0, 200.0])
 def test_backscatter_agrees_with_quadrature(visibility_m, device):
     air = Backscatter(Medium.fog(visibility_m), VIEW)
-    found = air.luminance([(uniform(device=device).headlight, LAMP, TEXTURE)], VIEW.whole)
+    found = air.luminance([(uniform(device=device).headlight, LAMP, LIGHT)], VIEW.whole, True)
     for row, column in PIXELS:
         assert float(found[row, column]) == pytest.approx(single_scattering(row, column, visibility_m), rel=0.02)
 
 
 def test_backscatter_is_linear_and_a_part_of_it_equals_that_part():
     air, lamp = Backscatter(Medium.fog(100.0), VIEW), uniform().headlight
-    texture = torch.rand(2, 4, 4, generator=torch.Generator().manual_seed(0))
-    whole = air.luminance([(lamp, LAMP, texture)], VIEW.whole)
+    texture = torch.rand(2, 16, generator=torch.Generator().manual_seed(0))
+    whole = air.luminance([(lamp, LAMP, texture)], VIEW.whole, True)
     part = slice(101, 203), slice(57, 399)
-    assert air.luminance([(lamp, LAMP, texture)], part).equal(whole[..., *part])
-    both = air.luminance([(lamp, LAMP, texture[0]), (lamp, LAMP, 2 * texture[1])], VIEW.whole)
+    assert air.luminance([(lamp, LAMP, texture)], part, True).equal(whole[..., *part])
+    both = air.luminance([(lamp, LAMP, texture[0]), (lamp, LAMP, 2 * texture[1])], VIEW.whole, True)
     torch.testing.assert_close(both, whole[0] + 2 * whole[1])
-    assert air.luminance([], VIEW.whole) == 0.0
+    of_pixels = air.luminance([(lamp, LAMP, torch.tensor([0.3]))], VIEW.whole, False)
+    torch.testing.assert_close(of_pixels, air.luminance([(lamp, LAMP, 0.3 * LIGHT)], VIEW.whole, True))
+    assert air.luminance([], VIEW.whole, True) == 0.0
 
 
 @pytest.mark.parametrize("visibility_m", [50.0, 100.0, 200.0])
