@@ -6,6 +6,7 @@ Both times are of the sender's clock; their difference gives the age of a sample
 """
 
 import json
+import math
 import threading
 import time
 from collections import deque
@@ -66,6 +67,7 @@ def decode(datagram: bytes) -> SensorDatagram | None:
 KEY = "ego.kind"
 METHODS = ("samples", "close")
 MOST = 1000  # newest samples in the queue
+TICK_S = 1e-3  # of times of measurement, which a network makes no surer, so that samples of one moment are taken together
 
 
 class Ego:
@@ -96,7 +98,7 @@ class UdpEgo(Ego):
         found = []
         while self._come:
             arrived_s, told = self._come.popleft()
-            measured_s = arrived_s - self._params.latency_s - told.age_s
+            measured_s = TICK_S * math.floor((arrived_s - self._params.latency_s - told.age_s) / TICK_S)
             found.append(Sample(told.sensor, measured_s, arrived_s, like.new_tensor(told.values)))
         return tuple(found)
 

@@ -148,10 +148,13 @@ class HeightController:
     def step(self, state: HeightControllerState, observation: Observation) -> HeightControllerState:
         """Update body filter and road map. The open loop stays unless heights explain the image better than a flat road.
 
-        The road map yields the body's pitch since the previous observation, and the road ahead of the wheels.
+        The road map yields the body's pitch since the previous observation, and the road ahead of the wheels. On the move the estimate
+        begins anew after a gap in which samples were lost.
         """
         body, then = state.body, observation.shown.ego
         if then is not None:
+            if observation.ego is not None and not then.stands and observation.ego.time_s - then.time_s > KEPT_S:
+                return replace(self.start(self.projector.target), time_s=then.time_s)
             for ego in (then, observation.ego):  # process measurements newer than the observation after it
                 body = self._filter(body, ego, then.time_s + ROUNDING_S)
         now = None if body is None else body.at_last_observation()
