@@ -39,6 +39,13 @@ def test_clear_air_changes_no_bit(objects):
     assert not any(torch.equal(a, b) for a, b in zip(clear, fog, strict=True))
 
 
+def test_probes_are_behind_the_air():
+    probe = "probes.wall={ position_m = [30.0, 0.0, 1.0] }"
+    clear, fog = (simulated(STREET, probe, *each).at(0).probes["wall"] for each in ((), (FOG,)))
+    assert clear > 1
+    assert fog / clear == pytest.approx(0.05**0.3, rel=1e-3)  # 30 m of 100 m; the lamps are 0.6 m to both sides
+
+
 def test_the_coarse_grid_agrees_with_every_ray_and_shadow_of_a_van():
     """Rays go to the road instead of to the van, which has no shadow in the air: less than 1 % of error beside it, 17 % on it."""
     simulation = simulated(STREET, FOG, objects=[VAN])

@@ -21,8 +21,9 @@ from tests.loop.rig.simulated.conftest import faults_of, light, scenario_of, see
 Images = Callable[..., np.ndarray]
 
 
-def test_without_faults_its_frames_are_the_plants(pattern):
-    scenario = scenario_of("camera.noise=false")
+@pytest.mark.parametrize("air", [(), ("air=[{ visibility_m = 50.0 }]",)])
+def test_without_faults_its_frames_are_the_plants(pattern, air):
+    scenario = scenario_of("camera.noise=false", *air)
     rig_scene = RigScene(scenario, faults_of("camera.columns=1"))
     given = tuple(LampModule(each.name, each.headlight, each.T_body_headlight) for each in rig_scene.modules)
     plant = simulated_plant(scenario, given)
