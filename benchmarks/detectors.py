@@ -5,7 +5,7 @@ any dimming and of the low beam. Prints the tables of docs/detectors.md.
 """
 
 from argparse import Namespace
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from luxloop.loop.studies.training.evaluate import HEIGHT_PX, INSIDE, VISIBLE, s
 from luxloop.loop.studies.training.scenes import CLASSES, MOMENTS_S, SceneObject, tables
 from luxloop.perception.camera import expose
 from luxloop.perception.detection.build import detector
-from luxloop.perception.detection.detector import HogParams, NetworkParams
+from luxloop.perception.detection.detector import Detector, HogParams, NetworkParams
 from luxloop.perception.ground_truth import ground_truth
 from luxloop.perception.noise import FrameNoise
 from luxloop.world.traffic.generator import second_tables
@@ -61,29 +61,32 @@ def frames(seed: int, population: str) -> Iterator[tuple[str, torch.Tensor, list
         yield beam, frame / (2**scenario.camera.bits - 1), objects, shapes
 
 
+def judge(seed: int, population: str, detectors: Mapping[str, Detector]) -> tuple[list[Row], list[Row]]:
+    """Rows of required objects of the detectors' classes, and of numbers of false boxes, in a scene."""
+    found, false = [], []
+    for beam, frame, objects, shapes in frames(seed, population):
+        required = [e.height >= HEIGHT_PX and e.visible >= VISIBLE and e.inside >= INSIDE for e in objects]
+        of_required = [shape for shape, must in zip(shapes, required, strict=True) if must]
+        for name, each in detectors.items():
+            where = {"population": population, "detector": name, "beam": beam}
+            scores = score_frame(each.detect(frame[None])[0], objects, [CLASSES.index(of) for of in each.classes])
+            false.append(where | {"false": scores.false})
+            found += [
+                where | {"shape": shape, "class": CLASSES[label], "found": hit, "right": right}
+                for shape, label, hit, right in zip(of_required, scores.labels, scores.found, scores.right, strict=True)
+                if CLASSES[label] in each.classes
+            ]
+    return found, false
+
+
 def measure(given: Namespace) -> dict[str, Any]:
     detectors = {"network": detector(NetworkParams(), torch.device("cpu")), "hog": detector(HogParams(), torch.device("cpu"))}
-    found, false = [], []
-    for population in WORLDS:
-        for seed in range(given.first, given.first + given.scenes):
-            for beam, frame, objects, shapes in frames(seed, population):
-                required = [e.height >= HEIGHT_PX and e.visible >= VISIBLE and e.inside >= INSIDE for e in objects]
-                for name, each in detectors.items():
-                    where = {"population": population, "detector": name, "beam": beam}
-                    scores = score_frame(each.detect(frame[None])[0], objects, [CLASSES.index(of) for of in each.classes])
-                    false.append(where | {"false": scores.false})
-                    rows = zip(
-                        [shape for shape, must in zip(shapes, required, strict=True) if must],
-                        scores.labels,
-                        scores.found,
-                        scores.right,
-                        strict=True,
-                    )
-                    found += [
-                        where | {"shape": shape, "class": CLASSES[label], "found": hit, "right": right}
-                        for shape, label, hit, right in rows
-                        if CLASSES[label] in each.classes
-                    ]
+    scenes = [judge(seed, name, detectors) for seed in range(given.first, given.first + given.scenes) for name in WORLDS]
+    return tables_of([row for found, _ in scenes for row in found], [row for _, false in scenes for row in false])
+
+
+def tables_of(found: Sequence[Row], false: Sequence[Row]) -> dict[str, Any]:
+    """Prints the tables of all rows."""
     objects, boxes = pd.DataFrame(found), pd.DataFrame(false)
     keys = ["detector", "population", "beam"]
     of_all = objects.groupby(keys).agg(objects=("right", "size"), found=("found", "mean"), recall=("right", "mean"))

@@ -22,9 +22,8 @@ from luxloop.perception.ground_truth import ground_truth
 from luxloop.world.rendering.surfaces import ExactSurfaces, face_source, surface_source
 from luxloop.world.scene.scene import Scene
 from luxloop.world.traffic.generator import random_tables, second_tables
-from luxloop.world.traffic.models import Vehicle
+from luxloop.world.traffic.models import Beast, Rider, Thing, Vehicle, Walker
 
-MIDDLE = ("bicycle", "kick_scooter", "motor_scooter", "boar", "dog", "wheelie_bin", "hydrant", "statue", "poster")
 T = TypeVar("T")
 SCENES = 8
 
@@ -41,22 +40,21 @@ def pictures(folder: Path) -> None:
 
 def second_population(folder: Path) -> None:
     """All models by day, and streets of the first seeds of development in undimmed high beam."""
-    rows = ((14.0, 7), (18.0, 9), (27.0, 4), (42.0, 3))  # distance, and number of models from left to right
-    models, objects = iter(("adult", "coat", "skirt", "umbrella", "child", "pram", "wheelchair", *MIDDLE, *get_args(Vehicle))), []
-    for x, count in rows:
-        for k in range(count):
-            model, y = next(models), 0.5 * x * (0.5 - (k + 0.5) / count)
-            at = {"position_m": [x, y, 0.0], "yaw_deg": 150.0}
-            objects.append({"kind": "model", "model": model, "name": model, "seed": k, "track": [at]})
-    camera = {"width_px": 1280, "height_px": 400, "hfov_deg": 34.0, "pitch_deg": 3.0}
-    day = prepare(
-        validate({"name": "models", "lighting": {}, "light": {"ambient_lx": 2000.0}, "camera": camera, "objects": objects}, "models")
-    )
-    sheet = [grey(day.at(0).luminance, 350.0)]
-    sheet[0][day.world.lit(0.0).surfaces.object_id < 0] = 205
+    small, sheet = get_args(Walker) + get_args(Rider) + get_args(Beast) + get_args(Thing), []
+    for x, height_px, models in ((22.0, 300, small), (58.0, 140, get_args(Vehicle))):
+        camera = {"width_px": 1280, "height_px": height_px, "hfov_deg": 34.0, "pitch_deg": -0.5}
+        places = [(model, 0.57 * x * (0.5 - (k + 0.5) / len(models))) for k, model in enumerate(models)]
+        objects = [
+            {"kind": "model", "model": model, "name": model, "seed": k, "track": [{"position_m": [x, y, 0.0], "yaw_deg": 150.0}]}
+            for k, (model, y) in enumerate(places)
+        ]
+        tables = {"lighting": {}, "light": {"ambient_lx": 2000.0}, "camera": camera, "objects": objects}
+        day = prepare(validate({"name": "models", **tables}, "models"))
+        sheet.append(grey(day.at(0).luminance, 350.0))
+        sheet[-1][day.world.lit(0.0).surfaces.object_id.cpu() < 0] = 205
     streets = []
     for seed in range(3_000_000, 3_000_008):
-        world = {"camera": camera | {"width_px": 320, "height_px": 160, "hfov_deg": 30.0, "pitch_deg": 1.5}, **second_tables(seed)}
+        world = {"camera": {"width_px": 320, "height_px": 160, "pitch_deg": 1.5}, **second_tables(seed)}
         street = prepare(validate({"name": "street", "lighting": {"base": {"beam": "high"}}, **world}, f"seed {seed}"))
         streets.append(grey(street.at(30).luminance, 6.0))
     sheet += [np.hstack(streets[:4]), np.hstack(streets[4:])]
