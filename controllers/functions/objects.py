@@ -1,6 +1,7 @@
 """Light for tracked objects: glare-free high beam, sign dimming and markers (T 3.5.1, 7.2.2)."""
 
 import math
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from typing import Literal, Self
 
@@ -27,9 +28,10 @@ from luxloop.controllers.situation import (
 from luxloop.perception.tracking import LINGER_S
 from luxloop.world.frames import inverse, transform
 from luxloop.world.params import Distance, Length, NotNegative, Params, PositiveShare, Share
+from luxloop.world.traffic.tracked import ROAD_USERS
 
 FADING = 1e6  # weight of a fading mask: above all finite weights; full masks have infinite weight and are not averaged with it
-PROBE_LX = 0.3  # in the mask of an object that is not found for sure: a detector finds vehicles in it, and it dazzles nobody
+PROBE_LX = 0.3  # in the mask of an object that is not found for sure, or before or behind others whom a detector finds; dazzles nobody
 CLEARANCE = 0.8  # largest share of the gap between box and lamp for a margin
 
 
@@ -61,20 +63,25 @@ class GlareFreeParams(SelectionParams):
         """A cuboid of six outward primitives for each object, forced and of infinite weight, and one cuboid for each soft zone.
 
         A fading mask lets light through again and must yield to full masks, so its weight is finite and its priority lower. Full masks
-        yield to the light on nearer objects.
+        yield to the light on nearer objects. They let PROBE_LX through if they may hide a tracked road user who is not masked.
         """
-        return tuple(part for each in self.select(now) for part in self._around(each, now))
+        masked = self.select(now)
+        doubtful = [each for each in now.objects if each.category in ROAD_USERS and each.confidence < 1 and each.present(now.time_s)]
+        others = [each for each in doubtful if each not in masked]
+        return tuple(part for each in masked for part in self._around(each, others, now))
 
-    def _around(self, each: TrackedObject, now: Situation) -> tuple[Primitives, ...]:
+    def _around(self, each: TrackedObject, others: Sequence[TrackedObject], now: Situation) -> tuple[Primitives, ...]:
         share = fade(now.time_s, each.since_s, each.until_s, self.fade_in_s, self.fade_out_s)
         if share == 0:
             return ()
         T, lamps = each.T_world_object, now.lamps
         distance = float((T[:3, 3] - lamps.to(T)).norm(dim=-1).amin())
-        probe_cd = PROBE_LX * max(distance - each.size_m[0] / 2, 1.0) ** 2 * min((1 - each.confidence) / (1 - SURE), 1.0)
         margin = self.margin_m + distance * math.tan(math.radians(self.margin_deg))
-        mask, soft = cuboid(T, *extend_box(each, margin, lamps)), SOFT_MASK * LAYERS + LAYERS - 1
+        low, high = extend_box(each, margin, lamps)
+        mask, soft = cuboid(T, low, high), SOFT_MASK * LAYERS + LAYERS - 1
         if share == 1:
+            probe = 1.0 if any(overlap(T, low, high, other, lamps) for other in others) else min((1 - each.confidence) / (1 - SURE), 1.0)
+            probe_cd = probe * PROBE_LX * max(distance - each.size_m[0] / 2, 1.0) ** 2
             parts = [rectangle(*mask, probe_cd, "I_v", weight=math.inf, forced=True, priority=now.mask_layer(each) + LAYERS - 1)]
         else:
             parts = [rectangle(*mask, 1 - share, "u_rel", weight=FADING, forced=True, priority=soft)]
@@ -99,6 +106,19 @@ def extend_box(each: TrackedObject, margin_m: float, lamps: Tensor) -> tuple[Ten
         margins = margins_high if side else margins_low
         margins[k] = torch.minimum(margins[k], CLEARANCE * gap.clamp(min=0))
     return low - margins_low, high + margins_high
+
+
+def overlap(T_world_box: Tensor, low: Tensor, high: Tensor, other: TrackedObject, lamps: Tensor) -> bool:
+    """Whether a box with opposite corners low and high `[3]` m and an object have a common azimuth seen from a lamp at `[L, 3]` m."""
+    first, last = (_azimuths(T, corners, lamps) for T, corners in ((T_world_box, (low, high)), (other.T_world_object, other.bounds)))
+    return bool(((first[0] <= last[1]) & (last[0] <= first[1])).any())
+
+
+def _azimuths(T_world_box: Tensor, corners: Iterable[Tensor], lamps: Tensor) -> tuple[Tensor, Tensor]:
+    """Smallest and largest azimuth `[L]` in rad of a box ahead of lamps at `[L, 3]` m. corners: two opposite ones, `[3]` m."""
+    points = transform(T_world_box.double(), torch.cartesian_prod(*torch.stack([*corners]).T).T)
+    x, y, _ = (points[:, None] - lamps.double().T[..., None]).unbind()
+    return torch.atan2(y, x).aminmax(dim=-1)
 
 
 class SignParams(SelectionParams):

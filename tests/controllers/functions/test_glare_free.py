@@ -1,6 +1,7 @@
 """Masks hold all of what they mask, seen from every lamp, and leave no light on it."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -158,6 +159,22 @@ def test_who_is_not_found_for_sure_gets_light_to_be_found_in(confidence, share):
     masked, _ = light_on(now(each), COARSE, GlareFreeParams(), points)
     lx = masked / (points[:, None] - LAMPS.T[..., None]).square().sum(0).float()
     assert share * PROBE_LX <= float(lx.max()) <= 1.6 * share * PROBE_LX
+
+
+@settings(max_examples=30)
+@given(x=st.floats(8, 60), y=st.floats(-6, 6), behind_m=st.floats(3, 30), aside=st.floats(-0.9, 0.9))
+def test_a_tracked_person_behind_a_mask_is_never_without_light(x, y, behind_m, aside):
+    """The mask lets 0.3 lx through at the car, so less where the person is; all of it, since a mask of 0 lx wins over all light."""
+    driver = car(x, y)
+    at = (x + behind_m) / x
+    found = TrackedObject("p", "pedestrian", pose_from_degrees((at * x, at * (y + aside), 0.0)), (0.4, 0.5, 1.7), confidence=0.99)
+    (mask,) = GlareFreeParams().primitives(now(driver, found))
+    assert_close(
+        mask.value, torch.full_like(mask.value, PROBE_LX * ((driver.T_world_object[:3, 3] - LAMPS).norm(dim=1).amin() - 2.25) ** 2)
+    )
+    far = replace(found, T_world_object=pose_from_degrees((at * x, at * y + at * x, 0.0)))
+    for other in (replace(found, confidence=1.0), replace(found, until_s=0.0), replace(found, category="cyclist"), far):
+        assert (GlareFreeParams().primitives(now(driver, other))[0].value == 0).all()
 
 
 def test_a_mask_yields_to_the_light_on_someone_nearer_and_covers_someone_farther():
