@@ -114,14 +114,22 @@ class TravelParams(SamplingParams):
 class SensorParams(Params):
     """Sensors of the vehicle's motion; without bias, noise, resolution and delay they are perfect."""
 
-    fitted: tuple[Sensor, ...] = Field(("wheels", "gyro", "accelerometer", "suspension"), description="sensors fitted to the vehicle")
+    fitted: tuple[Sensor, ...] | None = Field(
+        None, description="sensors fitted to the vehicle; left out: all but `attitude`, and `attitude` where its table is given"
+    )
     wheels: WheelsParams = Field(WheelsParams(), description="wheel speed sensors; without them the vehicle is assumed to stand")
     gyro: GyroParams = Field(GyroParams(), description="gyroscope: rates of roll, pitch and yaw")
-    attitude: AttitudeParams = Field(AttitudeParams(), description="inertial unit: fused heave, roll and pitch")
+    attitude: AttitudeParams | None = Field(None, description="inertial unit: fused heave, roll and pitch")
     accelerometer: AccelerometerParams = Field(AccelerometerParams(), description="accelerometer")
     suspension: TravelParams = Field(
         TravelParams(), description="suspension travel sensors; they give heave, roll and pitch if no inertial unit is fitted"
     )
+
+    @property
+    def present(self) -> tuple[Sensor, ...]:
+        """Sensors that the vehicle has."""
+        unit: tuple[Sensor, ...] = ("attitude",) if self.attitude is not None else ()
+        return ("wheels", "gyro", "accelerometer", "suspension", *unit) if self.fitted is None else self.fitted
 
 
 EXACT: Final = SensorParams()
@@ -140,12 +148,12 @@ class Sensors:
         """The newest sample of each sensor that has arrived by a time, with the device and dtype of `like`; samples of time 0 have no
         delay.
         """
-        return tuple(self._sample(sensor, max(self._last(sensor, by_s), 0), like) for sensor in self.params.fitted)
+        return tuple(self._sample(sensor, max(self._last(sensor, by_s), 0), like) for sensor in self.params.present)
 
     def arriving(self, after_s: float, by_s: float, like: Tensor) -> tuple[Sample, ...]:
         """All samples that arrive after after_s and up to by_s, in order of arrival."""
         found = list[Sample]()
-        for sensor in self.params.fitted:
+        for sensor in self.params.present:
             past, last = (self._last(sensor, time_s) for time_s in (after_s, by_s))
             found += [self._sample(sensor, number, like) for number in range(max(past, 0) + 1, last + 1)]
         return tuple(sorted(found, key=lambda each: each.arrived_s))
@@ -167,5 +175,5 @@ class Sensors:
 
     def _of(self, sensor: Sensor) -> tuple[SamplingParams, float]:
         """Parameters of a sensor, and its period in s."""
-        params: SamplingParams = getattr(self.params, sensor)
+        params: SamplingParams = getattr(self.params, sensor) or AttitudeParams()
         return params, self.period_s if params.rate_hz is None else 1 / params.rate_hz

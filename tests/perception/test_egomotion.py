@@ -153,6 +153,11 @@ def test_all_values_of_a_sensor_have_its_bias(sensor, key, bias):
     assert torch.allclose(biased - exact, torch.tensor(bias), atol=1e-6)
 
 
+def test_an_inertial_unit_is_fitted_where_its_table_is_given_and_no_choice_is():
+    assert "attitude" not in SensorParams().present and "attitude" in SensorParams(attitude={}).present
+    assert SensorParams(attitude={}, fitted=("gyro",)).present == ("gyro",)
+
+
 def test_springs_tell_the_attitude_without_a_unit(like):
     course = (CourseParams(speed_m_s=20.0), CourseParams(time_s=2.0, speed_m_s=10.0, curvature_1_m=0.01))
     motion, fitted = drive(VehicleParams(course=course), Flat(), 3.0), ("wheels", "gyro", "suspension")

@@ -37,7 +37,7 @@ class Backscatter:
     @property
     def cell_px(self) -> int:
         """Width and height of a cell in px."""
-        return 1 << max((self.view.width // CELLS).bit_length() - 1, 0)
+        return 1 << max((max(self.view.width, self.view.height) // CELLS).bit_length() - 1, 0)
 
     def luminance(self, lit: Iterable[tuple[Headlight, Tensor, Tensor]], part: Part, of_texels: bool) -> Tensor | float:
         """Luminance `[..., h, w]` in cd/m^2 at a part of the image, interpolated between the centres of cells; 0.0 without a module.

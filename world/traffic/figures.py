@@ -153,12 +153,12 @@ def walker(who: Build, phase: float | None, handle: Floats | None = None, rng: n
     return figure(who, hips, 0.12 if handle is not None else 0.03, ankle, hand, flat)
 
 
-def beast(boar: bool, h: float, girth: float, phase: float | None, part: str = "trunk") -> list[Piece]:
+def beast(boar: bool, h: float, girth: float, phase: float | None) -> list[Piece]:
     """A boar or a dog whose shoulders are h m high."""
     if boar:
         shapes = [
-            (part, (-0.6, 0.64), (0.2, 0.68), 0.27, 0.34),
-            (part, (0.1, 0.8), (0.35, 0.78), 0.2, 0.2),
+            ("trunk", (-0.6, 0.64), (0.2, 0.68), 0.27, 0.34),
+            ("trunk", (0.1, 0.8), (0.35, 0.78), 0.2, 0.2),
             ("head", (0.5, 0.66), (0.72, 0.56), 0.2, 0.14),
             ("head", (0.72, 0.56), (1.02, 0.42), 0.11, 0.07),
             ("tail", (-0.85, 0.72), (-0.95, 0.45), 0.03, 0.025),
@@ -166,9 +166,9 @@ def beast(boar: bool, h: float, girth: float, phase: float | None, part: str = "
         ear, ears, leg, width = (0.55, 0.84), (0.5, 0.92), (0.1, 0.055, 0.05), 0.17
     else:
         shapes = [
-            (part, (-0.42, 0.76), (0.0, 0.72), 0.15, 0.17),
-            (part, (0.0, 0.72), (0.3, 0.7), 0.17, 0.21),
-            (part, (0.35, 0.82), (0.55, 1.06), 0.13, 0.11),
+            ("trunk", (-0.42, 0.76), (0.0, 0.72), 0.15, 0.17),
+            ("trunk", (0.0, 0.72), (0.3, 0.7), 0.17, 0.21),
+            ("trunk", (0.35, 0.82), (0.55, 1.06), 0.13, 0.11),
             ("head", (0.58, 1.1), (0.66, 1.1), 0.125, 0.11),
             ("head", (0.66, 1.08), (0.9, 1.02), 0.07, 0.055),
             ("tail", (-0.55, 0.85), (-0.9, 1.02), 0.045, 0.025),

@@ -47,8 +47,8 @@ class TrafficParams(Params):
     cyclists: int = Field(1, ge=0, le=20, description="ahead or oncoming")
     cars: int = Field(1, ge=0, le=10, description="ahead or oncoming, with their lamps on")
     parked: int = Field(1, ge=0, le=20, description="cars parked beside the road; they have no category")
-    animals: int = Field(0, ge=0, le=10, description="deer")
-    signs: int = Field(1, ge=0, le=20, description="traffic signs")
+    animals: int = Field(0, ge=0, le=10, description="deer, or dogs and boars")
+    signs: int = Field(1, ge=0, le=20, description="traffic signs, or posters, which have no category")
     clutter: int = Field(4, ge=0, le=50, description="trees, bushes, posts, bins, delineators; they have no category")
     near_m: float = Field(8.0, ge=3, le=100, description="smallest distance ahead at the start")
     far_m: float = Field(

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from luxloop.controllers.symbol.sensing.road_shape import HERE
 from luxloop.controllers.symbol.sensing.symbol_sensor import Observation
-from luxloop.perception.egomotion import Ego, Samples, ego_of
+from luxloop.perception.egomotion import KEPT_S, Ego, Samples, ego_of
 from luxloop.world.frames import inverse
 from luxloop.world.roads.base import smoothstep
 from luxloop.world.scene.vehicle import LEARNT_M, LOW_PASS_M, SpringParams, VehicleParams, body_pose, ground_pose
@@ -117,8 +117,8 @@ class BodyFilter:
     @classmethod
     def first(cls, params: BodyParams, ego: Ego, reach_m: float, symbol_x_m: float) -> "BodyFilter":
         """The estimate after the first measurements, with a road strip up to reach_m ahead."""
-        over_wheels = ego.over_wheels  # which the first samples alone do not tell
-        ego = next(filter(None, (ego_of(samples, ego.vehicle, time_s) for time_s, samples in ego.since(-math.inf))))
+        over_wheels, begins_s = ego.over_wheels, ego.samples[-1].measured_s - KEPT_S  # the first samples alone do not tell; after any gap
+        ego = next(filter(None, (ego_of(samples, ego.vehicle, time_s) for time_s, samples in ego.since(begins_s))))
         front, rear = 2 * ego.pivot_x_m - ego.rear_x_m, ego.rear_x_m
         start = math.floor((rear - BEHIND_M) / CELL_M) * CELL_M
         count = math.ceil((reach_m - start) / CELL_M)

@@ -198,7 +198,7 @@ class HeightController:
         """The body filter after the measurements up to by_s; unchanged without measurements or axle positions, and anew after a gap."""
         if ego is None or ego.pivot_x_m == ego.rear_x_m:
             return before
-        if before is None or ego.time_s - before.time_s > KEPT_S:
+        if before is None or ego.samples[-1].measured_s - before.time_s > KEPT_S:
             before = BodyFilter.first(self.params.body, ego, self.reach_m, self.projector.params.x_m)
         return before.update(ego, by_s)
 

@@ -16,6 +16,7 @@ def test_samples_come_with_the_plants_time_and_others_are_refused():
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     for datagram in (
         encode("gyro", 5.0, 5.02, [0.0, 0.1, 0.2]),
+        encode("wheels", 5.0, 5.0201, [3.0]),
         encode("gyro", 5.0, 5.02, [0.0]),
         b"{}",
         encode("radar", 1.0, 1.0, [1.0]),
@@ -24,9 +25,11 @@ def test_samples_come_with_the_plants_time_and_others_are_refused():
     ):
         sender.sendto(datagram, ("127.0.0.1", port))
     assert eventually(lambda: ego.refused == 5, 3)
-    (sample,) = ego.samples(torch.empty(0))
+    sample, other = ego.samples(torch.empty(0))
     assert sample.sensor == "gyro" and sample.values.tolist() == pytest.approx([0.0, 0.1, 0.2])
     assert sample.arrived_s - sample.measured_s == pytest.approx(0.03, abs=1e-3)  # of a tick
+    ticks = (other.measured_s - sample.measured_s) * 1000
+    assert ticks == pytest.approx(round(ticks), abs=1e-4)
     ego.close()
 
 

@@ -13,7 +13,6 @@ from luxloop.world.traffic.figures import STRIDE, build, walker
 from luxloop.world.traffic.generator import ARM_M, TrafficParams, random_tables, second_tables
 from luxloop.world.traffic.models import MODELS, Model, ModelParams
 from luxloop.world.traffic.objects import ObjectParams
-from luxloop.world.traffic.roles import FIRST
 from luxloop.world.traffic.solids import Capsule, blend, box, hull
 from luxloop.world.traffic.tracked import EYES, ROAD_USERS
 
@@ -119,7 +118,6 @@ def test_both_populations_have_no_kind_in_common():
         TrafficParams(seed=4, population=name, pedestrians=6, cyclists=3, cars=2, animals=1).objects() for name in ("first", "second")
     )
     assert {each.kind for each in theirs} == {"model"} and "model" not in {each.kind for each in mine}
-    assert {params for _, params, *_ in FIRST.values()}.isdisjoint({ModelParams})
 
 
 @pytest.mark.parametrize("drives", [False, True])
