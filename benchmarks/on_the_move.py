@@ -1,7 +1,8 @@
 """How well symbols lie on the road while the car drives or nods, by what its sensors know: `python benchmarks/on_the_move.py [--quick]`.
 
-Mean intersection over union after step 10 (docs/control.md, "On the move"). Sensors are those of `driving`, noisy and a step late; the
-same in time; or without errors, in time. Beside them stands what drawing for the true road from the body's true pose gives: the bound.
+Mean intersection over union after step 10 (docs/control.md, "On the move"). Sensors are those of `driving`, noisy and late; the same in
+time; or one sample a step without errors, in time. Beside them stands what drawing for the true road from the body's true pose gives: the
+bound.
 """
 
 import sys
