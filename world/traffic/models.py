@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -174,9 +174,12 @@ class ModelParams(RandomParams):
 
     @model_validator(mode="after")
     def _category_of_model(self) -> Self:
-        if "category" not in self.model_fields_set:
-            object.__setattr__(self, "category", MODELS[self.model][0])
-        return self
+        return self if "category" in self.model_fields_set else self.model_copy(update={"category": MODELS[self.model][0]})
+
+    @classmethod
+    def of(cls, **keys: Any) -> Self:
+        """With the category of the model, unless `category` is given. keys: of a table."""
+        return cls(**{"category": MODELS[keys["model"]][0], **keys})
 
     @property
     def wheels_m(self) -> Wheels:  # type: ignore[override]

@@ -148,12 +148,12 @@ def _thing(rng: np.random.Generator) -> Made:
 
 
 SECOND: Final[dict[str, Role]] = {
-    "vehicle": ("cars", ModelParams, 6.5, (6.2, 1.3), _vehicle),
-    "beast": ("animals", ModelParams, 1.0, (0.9, 0.9), _beast),
-    "rider": ("cyclists", ModelParams, 1.1, (1.0, 0.4), _rider),
-    "walker": ("pedestrians", ModelParams, 0.9, (0.9, 0.9), _walker),
-    "parked": ("parked", ModelParams, 2.8, (2.8, 1.0), _parked),
-    "poster": ("signs", ModelParams, 0.8, (0.7, 0.7), _poster),
-    "thing": ("clutter", ModelParams, 0.9, (0.9, 0.9), _thing),
+    "vehicle": ("cars", ModelParams.of, 6.5, (6.2, 1.3), _vehicle),
+    "beast": ("animals", ModelParams.of, 1.0, (0.9, 0.9), _beast),
+    "rider": ("cyclists", ModelParams.of, 1.1, (1.0, 0.4), _rider),
+    "walker": ("pedestrians", ModelParams.of, 0.9, (0.9, 0.9), _walker),
+    "parked": ("parked", ModelParams.of, 2.8, (2.8, 1.0), _parked),
+    "poster": ("signs", ModelParams.of, 0.8, (0.7, 0.7), _poster),
+    "thing": ("clutter", ModelParams.of, 0.9, (0.9, 0.9), _thing),
 }
 POPULATIONS: Final[dict[Population, dict[str, Role]]] = {"first": FIRST, "second": SECOND}

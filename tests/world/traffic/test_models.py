@@ -107,9 +107,9 @@ def test_nothing_on_a_poster_or_a_pedestal_can_be_dazzled():
 
 
 def test_the_category_is_the_models_unless_given():
-    assert ModelParams(name="a", model="bus", track=HERE).category == "truck"
-    assert ModelParams(name="a", model="statue", track=HERE).category is None
-    assert ModelParams(name="a", model="estate", category=None, track=HERE).category is None
+    for keys, category in (({"model": "bus"}, "truck"), ({"model": "statue"}, None), ({"model": "estate", "category": None}, None)):
+        table = {"name": "a", "kind": "model", "track": HERE, **keys}
+        assert ModelParams.model_validate(table).category == ModelParams.of(**table).category == category
     assert {category for category, *_ in MODELS.values()} <= {None, "animal", *ROAD_USERS}
 
 
