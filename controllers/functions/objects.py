@@ -31,7 +31,7 @@ from luxloop.world.params import Distance, Length, NotNegative, Params, Positive
 from luxloop.world.traffic.tracked import ROAD_USERS
 
 FADING = 1e6  # weight of a fading mask: above all finite weights; full masks have infinite weight and are not averaged with it
-PROBE_LX = 0.3  # in the mask of an object that is not found for sure, or before or behind others whom a detector finds; dazzles nobody
+PROBE_LX = 0.3  # in the mask of an object of low confidence, or of one that hides a tracked road user: a detector finds them, no glare
 CLEARANCE = 0.8  # largest share of the gap between box and lamp for a margin
 
 
@@ -66,8 +66,8 @@ class GlareFreeParams(SelectionParams):
         yield to the light on nearer objects. They let PROBE_LX through if they may hide a tracked road user who is not masked.
         """
         masked = self.select(now)
-        doubtful = [each for each in now.objects if each.category in ROAD_USERS and each.confidence < 1 and each.present(now.time_s)]
-        others = [each for each in doubtful if each not in masked]
+        users = [each for each in now.objects if each.category in ROAD_USERS and each.present(now.time_s)]
+        others = [each for each in users if each.confidence < 1 and each not in masked]  # by a detector, not by the truth
         return tuple(part for each in masked for part in self._around(each, others, now))
 
     def _around(self, each: TrackedObject, others: Sequence[TrackedObject], now: Situation) -> tuple[Primitives, ...]:

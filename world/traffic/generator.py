@@ -210,7 +210,7 @@ def second_tables(seed: int) -> dict[str, Any]:
     rng = np.random.default_rng([seed, 4])
     speed = rng.uniform(5, 20)
     moments = np.arange(0.0, DRIVE_S, 3.0)
-    bends = rng.uniform(-1, 1, len(moments)) * min(2.0 / speed**2, 0.02) * (rng.random() < 0.7)  # at most 2 m/s^2 to the side
+    bends = rng.uniform(-1, 1, len(moments)) * min(2.0 / speed**2, 0.02) * (rng.random() < 0.7)  # 2 m/s^2 at the mean speed
     course = [
         {"time_s": float(t), "speed_m_s": round(float(np.clip(speed + rng.normal(0, 1), 5, 20)), 2), "curvature_1_m": round(float(c), 5)}
         for t, c in zip(moments, bends, strict=True)
