@@ -1,6 +1,6 @@
 """How well identities are kept: `python benchmarks/tracking.py` prints tables for docs/object_based.md.
 
-Made-up boxes are as noisy and missing as a detector's; object_based.py has tracks of the network's own.
+Made-up boxes are as noisy and missing as a detector's.
 """
 
 from argparse import Namespace

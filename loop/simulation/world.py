@@ -29,6 +29,7 @@ from luxloop.world.scene.air import Medium
 from luxloop.world.scene.scene import Scene
 from luxloop.world.scene.triangles import NOTHING, Triangles
 from luxloop.world.scene.vehicle import STANDING, Motion, VehicleState
+from luxloop.world.traffic.models import MODELS
 from luxloop.world.traffic.objects import ObjectParams
 from luxloop.world.traffic.tracked import EYES, ROAD_USERS, Category
 
@@ -43,7 +44,12 @@ A_PIXEL: Part = (slice(0, 1), slice(0, 1))
 
 def categories(objects: Sequence[ObjectParams]) -> tuple[Category | None, ...]:
     """Object classes that a detector should report; parked cars, which have no category, are of class "car"."""
-    return tuple("car" if each.category is None and each.kind == "car" else each.category for each in objects)
+    return tuple(each.category or _shape(each) for each in objects)
+
+
+def _shape(each: ObjectParams) -> Category | None:
+    """Class by the shape alone."""
+    return MODELS[each.model][0] if each.kind == "model" else "car" if each.kind == "car" else None
 
 
 @dataclass(eq=False)
