@@ -140,10 +140,12 @@ class Onlooker:
     def _light(self, lit: LitScene, lights: Sequence[Tensor], commands: Commands) -> Tensor:
         weight = torch.tensor(LUMINANCE)[:, None, None]
         sky = (lit.surfaces.object_id < 0).cpu() * (lit.backscatter is None) * lit.scene.ambient_lx / math.pi
-        arriving = (self._from_lamps(lit, lights, commands) + lit.base).cpu() + sky
+        haze, ambient_lx = lit.rendered.haze, lit.scene.ambient_lx
+        air = 0.0 if haze is None else ((1 - haze.transmittance) * haze.medium.horizon(ambient_lx)).cpu()
+        arriving = (self._from_lamps(lit, lights, commands) + lit.base).cpu() - air + sky
         seen = arriving * self._colours(lit)
         coloured = seen * (weight * arriving).sum(0) / (weight * seen).sum(0).clamp(min=1e-12)
-        return coloured + torch.as_tensor(lit.backscattered([Utilisation(u) for u in lights], commands)).cpu()
+        return coloured + air + torch.as_tensor(lit.backscattered([Utilisation(u) for u in lights], commands)).cpu()
 
     def _from_lamps(self, lit: LitScene, lights: Sequence[Tensor], commands: Commands) -> Tensor:
         """Luminance `[3, H, W]` from the lamps in linear sRGB, of grey surfaces."""

@@ -148,7 +148,9 @@ class Scenario(Params):
     objects: tuple[ObjectParams, ...] = Field((), description="objects on the road")
     traffic: TrafficParams | None = Field(None, description="further objects, drawn from a seed; left out: none")
     light: LightParams = Field(LightParams(), description="ambient light and street lamps")
-    air: Annotated[tuple[AirParams, ...], ascending("time_s")] = Field((), description="fog, in ascending time; left out: clear air")
+    air: Annotated[tuple[AirParams, ...], ascending("time_s")] = Field(
+        (), description="fog, rain and snow, in ascending time; left out: clear air"
+    )
     headlight: HeadlightParams = Field(HeadlightParams(), description="the lamps")
     modules: Mapping[str, ModuleSourceParams] = Field({}, description="sources of modules' light, by module")
     camera: CameraParams = Field(CameraParams(), description="the camera")

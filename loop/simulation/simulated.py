@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -76,7 +77,7 @@ def body_of(item: ObjectParams, road: Road) -> Body | Figure:
     return replace(body, track=replace(body.track, road=road, wheels_m=item.wheels_m)) if item.on_road else body
 
 
-LOSS_KEY, LATENCY_KEY = 2, 4  # random streams of a step, separate from the noise of frames and sensors
+LOSS_KEY, LATENCY_KEY, DROPS_KEY = 2, 4, 8  # random streams of a step, separate from the noise of frames and sensors
 
 UnderWay = tuple[tuple[int, Frame], ...]  # (number of the exposure at whose end the frame arrives, frame)
 
@@ -139,8 +140,15 @@ class SimulatedPlant:
         """Digital numbers `[height, width]`, computed on access; immediately for measured light, which is stored only briefly."""
         shown = exposure.start_s, exposure.lights, exposure.commands
 
+        @cache
+        def drops() -> Tensor | None:
+            return self.world.drops(*shown, self._draw(step, DROPS_KEY + frame))
+
         def part_of(part: Part) -> Tensor:
-            return self.exposed(*self.world.luminance(*shown, part), step, frame, part)
+            luminance, base = self.world.luminance(*shown, part)
+            if (falling := drops()) is not None:
+                luminance = (luminance + falling[part]).clamp(min=0)
+            return self.exposed(luminance, base, step, frame, part)
 
         image = self.world.image(exposure.lights[0].u, part_of)
         return image if all(module.measured is None for module in self.world.modules) else image[:, :]

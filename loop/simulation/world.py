@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,6 +21,7 @@ from luxloop.world.frames import View, inverse
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand
 from luxloop.world.light.backscatter import Backscatter
+from luxloop.world.light.drops import drop_luminance
 from luxloop.world.light.emitters import ambient_luminance
 from luxloop.world.light.illumination import DirectTransport, LightTransport, Shadows, added_light, lit_surface, transport
 from luxloop.world.materials.library import MaterialName
@@ -35,7 +37,7 @@ from luxloop.world.traffic.tracked import EYES, ROAD_USERS, Category
 
 Photometry = tuple[Tensor | None, Tensor]  # illuminance in lx and luminance in cd/m^2
 KEPT_VIEWS = 4  # on and off frame, before and after a change
-KEPT_MEDIA = 2  # before and after a change of visibility
+KEPT_MEDIA = 4  # before and after a change of air, and of the drops that are drawn in it
 KEPT_PARTS = 2  # image parts of a scene: around the symbols, around objects
 KEPT_LIGHTS = 3  # exposures of a scene: on, off, and off without one symbol
 MARGIN_PX = 1  # around objects, because OpenGL rounds their corners
@@ -203,13 +205,18 @@ class LitScene:
         """Luminance `[..., h, w]` in cd/m^2 of the lamps' light in the air, at a part of the whole view, None for all; 0.0 without any."""
         if self.backscatter is None:
             return 0.0
+        lit = self.shining(lights, commands, of_texels=self.direct)  # direct light needs the textures, too
+        return self.backscatter.luminance(lit, part or self.eye.whole, self.direct)
+
+    def shining(self, lights: Sequence[Utilisation], commands: Commands, of_texels: bool) -> list[tuple[Headlight, Tensor, Tensor]]:
+        """Modules that are not dark, as of `Backscatter.luminance`."""
         lit = list[tuple[Headlight, Tensor, Tensor]]()
         for module, light, command in zip(self.modules, lights, commands or (REST,) * len(lights), strict=True):
             if (light.band is None or light.band.start < light.band.stop) and bool(light.u.any()):
                 u = light.u if command.intensity == 1 else command.intensity * light.u
-                shown = module.textures.light_texture(u, light.band).flatten(-2) if self.direct else u  # direct light needs it, too
+                shown = module.textures.light_texture(u, light.band).flatten(-2) if of_texels else u
                 lit.append((module.headlight, module.turned(command), shown))
-        return self.backscatter.luminance(lit, part or self.eye.whole, self.direct)
+        return lit
 
     @cached_property
     def objects(self) -> tuple[GroundTruth, ...]:
@@ -369,6 +376,19 @@ class World:
         found, base = self._without_backscatter(time_s, lights, commands, part)
         lit = self.lit(time_s)
         return found if lit.backscatter is None else found + lit.backscattered(lights, commands, part), base
+
+    def drops(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands, random: np.random.Generator) -> Tensor | None:
+        """Luminance `[height, width]` in cd/m^2 by which single drops and flakes near the camera differ from their mean during an exposure
+        that begins at a time; None without any.
+        """
+        medium = self.scene.air_at(time_s)
+        if medium is None or not medium.falling:
+            return None
+        lit, exposure_s = self.lit(time_s).shining(lights, commands, of_texels=True), self.camera.exposure_s
+        begin, end = (self.motion.at(each).T_world_body for each in (time_s, time_s + exposure_s))
+        later = replace(self.view, T_world_view=inverse(begin) @ end @ self.view.T_world_view)
+        drawn = drop_luminance(medium, self.view, later, exposure_s, lit, random).to(self.device)
+        return drawn - self._backscatter(replace(medium, drawn_only=True)).luminance(lit, self.view.whole, of_texels=True)
 
     def _without_backscatter(
         self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands, part: Part | None = None

@@ -12,7 +12,7 @@ from luxloop.world.caches import Part, keeping
 from luxloop.world.frames import View
 from luxloop.world.headlight import Headlight
 from luxloop.world.light.volumetric import FARTHEST_M, airlight_matrix
-from luxloop.world.scene.air import Medium
+from luxloop.world.scene.air import NEAR_M, Medium
 from luxloop.world.spmv import Csr, multiply
 
 CELLS: Final = 160  # least number of cells in a row of the image; their size is a power of two, in px
@@ -72,7 +72,8 @@ class Backscatter:
         T_body_headlight = torch.tensor(numbers, dtype=torch.float64).view(4, 4)
         rays, origin = self._cells.rays().flatten(1), self.view.origin
         rays = rays / rays.norm(dim=0)
-        to_ground = torch.where(rays[2] < 0, -origin[2] / rays[2], FARTHEST_M).clamp(0, FARTHEST_M)
+        farthest_m = NEAR_M if self.medium.drawn_only else FARTHEST_M
+        to_ground = torch.where(rays[2] < 0, -origin[2] / rays[2], farthest_m).clamp(0, farthest_m)
         given = T_body_headlight, origin.float(), rays.float(), to_ground.float()
         matrix = airlight_matrix(headlight, *given, self.medium, SAMPLES)
         matrix = matrix if of_texels else Csr.from_scipy(matrix.to_scipy() @ headlight.matrix.to_scipy())

@@ -134,7 +134,8 @@ def _midpoints(
         # The light flies from the source to the point, then from there back along the ray: its deflection's cosine is that of both.
         passed = torch.exp(-medium.extinction_per_m * (height[:, None] / angle.cos() + along))
         weight = phase(-angle.sin(), medium.asymmetry) * passed
-        yield part, eye[:, None, None] + rays[:, part, None] * along, weight * (medium.scattering_per_m * step / height)[:, None]
+        scattering = medium.scattering_at(along) * step[:, None] / height[:, None]
+        yield part, eye[:, None, None] + rays[:, part, None] * along, weight * scattering
 
 
 def _inside(grid: Headlight, eye: Tensor, rays: Tensor, far_m: Tensor) -> tuple[Tensor, Tensor]:

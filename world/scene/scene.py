@@ -31,7 +31,7 @@ class StreetLamp(Params):
 @dataclass(frozen=True, eq=False)
 class Scene:
     """A scene. bodies: the road first; their order gives the object ids. ambient_lx: illuminance of a surface facing up by an overcast
-    sky. air: visibility over time, in ascending time; empty for clear air.
+    sky. air: fog, rain and snow over time, in ascending time; empty for clear air.
     """
 
     bodies: tuple[Body | Ground | Figure, ...]
@@ -52,8 +52,7 @@ class Scene:
     def air_at(self, t_s: float) -> Medium | None:
         """The air at a time, None if clear; before the first entry as of that entry."""
         entries = [*self.air[:1], *(each for each in self.air if each.time_s <= t_s)]
-        visibility_m = entries[-1].visibility_m if entries else None
-        return None if visibility_m is None else Medium.fog(visibility_m)
+        return entries[-1].medium if entries else None
 
     def key_at(self, t_s: float) -> Key:
         """Key of the bodies that exist at a time and their poses: cheap, and equal as long as nothing moves."""

@@ -1,9 +1,12 @@
-"""Fog in the camera's frames: what lamps and camera see of it, and what a held symbol makes of it."""
+"""Fog, rain and snow in the camera's frames: what lamps and camera see of it, and what a held symbol makes of it."""
 
+import numpy as np
 import pytest
 import torch
 
 from luxloop import Simulation, load
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.simulation.protocol import Exposure
 from luxloop.world.light.emitters import Source
 from luxloop.world.light.volumetric import airlight, shadow_map
 from luxloop.world.rendering.surfaces import face_source
@@ -24,6 +27,9 @@ FOG = "air=[{ visibility_m = 100.0 }]"
 VAN = van((12.0, 2.0, 180.0), (11.0, 2.0, 180.0))
 
 
+RAIN, SNOW = "air=[{ rain_mm_h = 50.0 }]", "air=[{ snow_mm_h = 2.0 }]"
+
+
 def frames(simulation: Simulation) -> list[torch.Tensor]:
     state, found = simulation.start(), list[torch.Tensor]()
     for _ in range(2):
@@ -37,6 +43,34 @@ def test_clear_air_changes_no_bit(objects):
     clear, entry, fog = (frames(simulated(STREET, *each, objects=objects)) for each in ((), ("air=[{}]",), (FOG,)))
     assert all(torch.equal(a, b) for a, b in zip(clear, entry, strict=True))
     assert not any(torch.equal(a, b) for a, b in zip(clear, fog, strict=True))
+
+
+@pytest.mark.parametrize("air", [RAIN, SNOW])
+def test_each_frame_has_drops_of_its_own(air):
+    first, again, other = (frames(simulated(STREET, air, f"seed={seed}")) for seed in (0, 0, 1))
+    assert all(torch.equal(a, b) for a, b in zip(first, again, strict=True))
+    assert not any(torch.equal(a, b) for a, b in zip(first, other, strict=True))
+    assert not torch.equal(*first), "nothing moves but the drops"
+
+
+def test_on_and_off_frame_have_different_drops_and_the_mean_of_the_medium():
+    """Of 40 frames in the light of the same full beam: within 4 % of the medium, whose own share is a third of the rows' light."""
+    plant = simulated(STREET, SNOW).plant
+    lights = tuple(Utilisation(each.flux.new_ones(each.flux.shape)) for each in simulated(STREET, SNOW).modules)
+    medium, _ = plant.world.luminance(0.0, lights)
+    drops = [plant.world.drops(0.0, lights, (), np.random.default_rng(seed)) for seed in range(40)]
+    assert float((medium + torch.stack(drops)).min()) > -1e-4
+    mean = medium + torch.stack(drops).mean(0)
+    assert float(mean[90:].mean()) == pytest.approx(float(medium[90:].mean()), rel=0.04)
+    state, images = plant.start()[0], list[torch.Tensor]()
+    for number in range(2):
+        state, arrivals = plant.show(state, Exposure(number, 0.0, 0.1, lights))
+        images += [frame.image for frame in arrivals.frames]
+    on, off = images
+    assert not torch.equal(on, off)
+    part = slice(20, 150), slice(30, 301)
+    (once_more,) = plant.show(plant.start()[0], Exposure(0, 0.0, 0.1, lights))[1].frames
+    assert torch.equal(once_more.image[part], on[part]), "a part equals that part of the whole"
 
 
 def test_probes_are_behind_the_air():
