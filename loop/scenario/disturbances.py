@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from luxloop.perception.camera import OncomingParams
+from luxloop.world.light.soiling import SoilingParams
 from luxloop.world.params import Params, Seed, Share, in_order
 
 FRAMES = ("on", "off")
@@ -60,6 +61,10 @@ class DropsParams(Spell):
     probability: Share = Field(1.0, description="probability that a step's frames are lost")
 
 
+class LensParams(SoilingParams, Spell):
+    """Spots of dirt or ice on the camera's lens or the windscreen before it."""
+
+
 class PoseErrorParams(Params):
     """Error of a mounting pose relative to the scenario's."""
 
@@ -108,9 +113,12 @@ class DisturbanceParams(Params):
     ambient: tuple[AmbientParams, ...] = Field((), description="changes of the light beside the headlamps'; several multiply")
     noise: tuple[NoiseParams, ...] = Field((), description="more noise; several multiply")
     drops: tuple[DropsParams, ...] = Field((), description="lost frames")
+    lens: tuple[LensParams, ...] = Field((), description="dirt or ice on the camera's lens, one layer after the other")
     calibration: CalibrationParams = Field(CalibrationParams(), description="error of the camera's calibration")
     aim: tuple[AimParams, ...] = Field((), description="errors of the lamps' aim; several add up")
     wear: WearParams = Field(WearParams(), description="dead and aged pixels of the lamps")
+
+    cover: SoilingParams = Field(SoilingParams(), description="dirt or ice on the lamps' covers")
 
     def ambient_factor(self, step: int, frame: int) -> float:
         """Light beside the headlamps' in a step's on frame (0) or off frame (1), as a multiple of the scenario's."""
@@ -123,6 +131,10 @@ class DisturbanceParams(Params):
     def oncoming_in(self, step: int, frame: int) -> Iterable[OncomingParams]:
         """Headlamps that face the camera in a step's on frame (0) or off frame (1)."""
         return (each for each in self.oncoming if each.holds_in(step, frame))
+
+    def lens_in(self, step: int) -> tuple[SoilingParams, ...]:
+        """What soils the camera's lens in a step."""
+        return tuple(each for each in self.lens if each.holds(step))
 
     def loss_probability(self, step: int, always: float) -> float:
         """Probability that a step's frames are lost. always: the camera's own probability."""

@@ -137,7 +137,9 @@ class SimulatedPlant:
         return sensors.newest(by_s, like) if after_s is None else sensors.arriving(after_s, by_s, like)
 
     def _frame(self, exposure: Exposure, step: int, frame: int) -> Tensor:
-        """Digital numbers `[height, width]`, computed on access; immediately for measured light, which is stored only briefly."""
+        """Digital numbers `[height, width]`, computed on access; immediately behind a soiled lens, which needs the whole, and
+        for measured light, which is stored only briefly.
+        """
         shown = exposure.start_s, exposure.lights, exposure.commands
 
         @cache
@@ -151,7 +153,8 @@ class SimulatedPlant:
             return self.exposed(luminance, base, step, frame, part)
 
         image = self.world.image(exposure.lights[0].u, part_of)
-        return image if all(module.measured is None for module in self.world.modules) else image[:, :]
+        at_once = self.disturbances.lens_in(step) or any(module.measured for module in self.world.modules)
+        return image[:, :] if at_once else image
 
     def exposed(self, luminance: Tensor, base: Tensor, step: int, frame: int, part: Part | None = None) -> Tensor:
         """Digital numbers of frame 0, 1, ... of a step, with disturbances. luminance: `[..., height, width]` cd/m^2.
@@ -168,6 +171,8 @@ class SimulatedPlant:
             view, position, medium = self.world.view_at(t_s), lamp.position_at(t_s), self.world.scene.air_at(t_s)
             dimmed = 1.0 if medium is None else float(medium.transmittance(position - view.origin))
             luminance = luminance + dimmed * glare(view.within(*part), position, lamp, device)
+        for soiling in self.disturbances.lens_in(step):
+            luminance = soiling.through(luminance)
         noise = FrameNoise.of(self.seed, step, frame).part(part, luminance) if camera.noise else None
         return expose(luminance, camera, noise if noise is None or noisy == 1 else noisy * noise)
 
@@ -198,7 +203,7 @@ def simulated_plant(scenario: Scenario, modules: Sequence[LampModule], cache: Pa
     motion = build_motion(scenario, cache)
     scene = build_scene(scenario, motion, cache)
     source = cache("face source", lambda name: FirstFound() if name == "auto" else face_source(name), scenario.renderer)
-    true = cache("true modules", true_modules, tuple(modules), errors.aim, errors.wear)
+    true = cache("true modules", true_modules, tuple(modules), errors.aim, errors.wear, errors.cover)
     world = _world(cache, scene, true, true_camera(scenario), source, motion, scenario.meters_light, scenario.all_objects)
     return SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, errors, scenario.shares, scenario.drawings[0])
 

@@ -17,6 +17,7 @@ from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import ModuleCommand
 from luxloop.world.light.illumination import LastTextures, TextureSource
+from luxloop.world.light.soiling import SoilingParams
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,15 +52,15 @@ def true_camera(scenario: Scenario) -> CameraParams:
     return camera.model_copy(update=moved)
 
 
-def true_modules(modules: Iterable[LampModule], aim: Iterable[AimParams], wear: WearParams) -> tuple[LampModule, ...]:
-    """Modules with dead and aged pixels and aiming errors.
+def true_modules(modules: Iterable[LampModule], aim: Iterable[AimParams], wear: WearParams, cover: SoilingParams) -> tuple[LampModule, ...]:
+    """Modules with dead and aged pixels and aiming errors, behind soiled covers.
 
     Raises LuxloopError for an unknown pixel, or an aim that puts a module below the road.
     """
     true = []
     for number, module in enumerate(modules):
         errors = [each for each in aim if each.lamp is None or module.name.startswith(f"{each.lamp} ")]
-        headlight = wear_out(module.headlight, module.name, wear, number)
+        headlight = cover.cover(wear_out(module.headlight, module.name, wear, number), int(module.name.startswith("right ")))
         true.append(replace(module, headlight=headlight, T_body_headlight=misaim(module.T_body_headlight, errors)))
     return tuple(true)
 

@@ -21,6 +21,7 @@ from luxloop.loop.simulation.world import LitScene, World
 from luxloop.world.caches import keeping
 from luxloop.world.frames import unit
 from luxloop.world.headlight.lamp import REST, Commands
+from luxloop.world.light.soiling import SoilingParams
 
 KEPT = 8  # cached images of lights, since on and off frames alternate
 STUCK_KEY = 1  # generator key of stuck pixels
@@ -128,7 +129,7 @@ def _true(modules: Sequence[LampModule], faults: FaultParams) -> tuple[LampModul
     error = faults.lamp
     aim = AimParams(**{name: getattr(error, name) for name in PoseErrorParams.model_fields})
     scaled = (replace(each, headlight=each.headlight.scale(error.scale)) for each in modules)
-    return true_modules(scaled, (aim,), WearParams(dead=error.dead, seed=faults.seed))
+    return true_modules(scaled, (aim,), WearParams(dead=error.dead, seed=faults.seed), SoilingParams())
 
 
 def _stuck(module: LampModule, error: LampErrorParams, seed: int, number: int) -> Tensor:

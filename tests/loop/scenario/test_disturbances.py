@@ -15,6 +15,7 @@ from luxloop.loop.simulation.simulated import SimulatedPlant
 from luxloop.loop.simulation.truth import true_camera, true_modules, wear_out
 from luxloop.loop.simulation.world import World
 from luxloop.perception.camera import luminance_of, saturation_luminance
+from luxloop.world.light.soiling import SoilingParams
 from luxloop.world.roads.shapes import Flat
 from luxloop.world.scene.vehicle import VehicleParams, drive
 from tests.lamps import SMALL_LAMP
@@ -189,7 +190,7 @@ def test_two_lamps_draw_one_symbol_until_one_is_aimed_aside(plain):
 def worn_world(plain: Simulation, **wear: Any) -> World:
     """The plain simulation's world in the light of worn lamps."""
     world = plain.world
-    modules = true_modules(world.modules, (), WearParams.model_validate(wear))
+    modules = true_modules(world.modules, (), WearParams.model_validate(wear), SoilingParams())
     return World(world.scene, modules, world.camera, world.source)
 
 

@@ -109,3 +109,23 @@ def test_a_symbol_is_held_in_fog_without_its_backscatter():
 
     clear, misled, held = iou(), iou(FOG), iou(FOG, "functions.symbol.extraction.visibility_m=100")
     assert held > 0.85 * clear > misled
+
+
+def test_a_soiled_lens_and_cover_change_frames_alone_and_light():
+    """A lens of 40 % ice darkens nothing in the mean; a cover takes 28 % of the light; the controller knows of neither."""
+    clean, lens, cover = (
+        simulated(STREET, "camera.saturation_e=100000", *each)
+        for each in (
+            (),
+            ("disturbances.lens=[{ coverage = 0.4, absorption = 0.0, until_step = 1 }]",),
+            ("disturbances.cover={ coverage = 0.4, transmission = 0.3 }",),
+        )
+    )
+    of_clean, of_lens, of_cover = map(frames, (clean, lens, cover))
+    assert not torch.equal(of_lens[0], of_clean[0])
+    assert float(of_lens[0].mean()) == pytest.approx(float(of_clean[0].mean()), rel=5e-3)
+    assert torch.equal(of_lens[1], of_clean[1]), "until_step"
+    taken, given = (each.world.modules[0].headlight.pixel_flux.sum() for each in (cover, clean))
+    assert float(taken / given) == pytest.approx(1 - 0.4 * 0.7, abs=0.15)
+    assert torch.equal(cover.modules[0].flux, clean.modules[0].flux)
+    assert float(of_cover[0].mean()) < float(of_clean[0].mean())
