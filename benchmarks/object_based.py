@@ -40,10 +40,10 @@ from luxloop.world.traffic.tracked import ROAD_USERS
 
 FILES = Path(__file__).parents[1] / "perception" / "detection"
 CAMERA = {"width_px": 640, "height_px": 360, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000.0}
-RATE_HZ, STEPS = 20.0, 60
-COMES = 40  # step at which a newcomer is there
+RATE_HZ, STEPS = 20.0, 50
+COMES = 30  # step at which a newcomer is there
 END = range(STEPS - 10, STEPS)  # steps that decide what is saved and kept
-ATTRIBUTED = 3  # steps from one attribution of causes to the next
+ATTRIBUTED = 5  # steps from one attribution of causes to the next
 FIRST = {"first": 2_000_000, "second": 4_000_000}  # seeds of the final scenes: other ones than in training and development
 PARTS = {"first": ("static", "moving"), "second": ("standing", "driving")}  # even and odd scenes
 

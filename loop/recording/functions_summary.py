@@ -273,4 +273,5 @@ def _flux_lm(simulation: Simulation, lights: Sequence[Tensor]) -> list[float]:
 
 
 def _watts(simulation: Simulation, lights: Sequence[Tensor]) -> float:
-    return sum(map(simulation.scenario.headlight.power_w, _flux_lm(simulation, lights)))
+    params = simulation.scenario.headlight
+    return sum(map(params.power_w, _flux_lm(simulation, [params.at_full_current(u) for u in lights])))

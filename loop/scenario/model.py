@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
+from torch import Tensor
 
 from luxloop.controllers.functions.planner import Functions, LightingParams
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
@@ -68,6 +69,9 @@ class HeadlightParams(Params):
     efficacy_loss_percent_k: float = Field(
         0.0, ge=0, le=5, description="loss of efficacy in % of efficacy_lm_w by each K of the junctions over the air; 0: none"
     )
+    droop: float = Field(
+        0.0, ge=0, le=5, description="by how much more efficient pixels dimmed by current get towards darkness; 0: dimmed by pulse width"
+    )
     delay_s: float = Field(
         0.0,
         ge=0,
@@ -85,8 +89,15 @@ class HeadlightParams(Params):
             raise ValueError(f"name each of the {info.field_name} once")
         return names
 
+    def at_full_current(self, u: Tensor) -> Tensor:
+        """Utilisations at full current that take as much power as utilisations u, `[n_p]` both.
+
+        The efficacy of pixels dimmed by current falls linearly with their flux, as of the white LEDs of data sheets, to some 5 %.
+        """
+        return u / (1 + self.droop * (1 - u)) if self.droop else u
+
     def power_w(self, flux_lm: float) -> float:
-        """Electrical power of one lamp in W at a luminous flux, with its junctions at their steady temperature.
+        """Electrical power of one lamp in W at a luminous flux at full current, with its junctions at their steady temperature.
 
         Efficacy falls linearly with that temperature: `flux = efficacy (1 - loss thermal P) P`, P of the light sources (Hui and Qin, "A
         General Photo-Electro-Thermal Theory for Light Emitting Diode (LED) Systems", 2009). Raises LuxloopError beyond the greatest flux.

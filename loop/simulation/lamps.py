@@ -258,14 +258,15 @@ class LampDriver:
         self, modules: Sequence[ShiningModule], lights: Sequence[Utilisation], factors: Mapping[str, float]
     ) -> Mapping[str, LampPower]:
         """Power of each lamp. lights: of the modules. factors: dimming by the power limit, by lamp."""
-        found = {}
+        found, params = {}, self.scenario.headlight
         for side, factor in factors.items():
             mine = [(module, light) for module, light in zip(modules, lights, strict=True) if module.side == side]
-            total, most = (
-                sum(module.intensity * _flux_lm(light, module.flux) for module, light in mine),
-                sum(each.flux_lm for each, _ in mine),
+            total, at_full_current = (
+                sum(module.intensity * _flux_lm(Utilisation(of(light.u), light.band), module.flux) for module, light in mine)
+                for of in (lambda u: u, params.at_full_current)
             )
-            found[side] = LampPower(total, total / most, factor, self.scenario.headlight.power_w(total), total)
+            watts = params.power_w(at_full_current)
+            found[side] = LampPower(total, total / sum(each.flux_lm for each, _ in mine), factor, watts, total)
         return found
 
 

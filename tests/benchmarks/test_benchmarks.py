@@ -76,6 +76,11 @@ PROMISES = {
     "convergence": lambda found: len(found["runs"]) == 3 and found["lost"] < 3,
     "detectors": lambda found: len(found["summary"]) == 8 and found["summary"]["network first high"]["recall"] > 0.7,
     "driving": lambda found: found["ms"]["night_drive"]["find"] > found["ms"]["driving"]["find"],  # which has no detector
+    # light on objects saves, high beam does not, and dimming by current takes less
+    "energy": lambda found: (
+        all(row["W, cold"] > row["W, warm, dimmed by current"] for row in found["means"].values())
+        and found["saved"]["object light beside the guard"]["lm"] > 0.5 > 0 > found["saved"]["glare-free high beam"]["lm"]
+    ),
     "jpo": jpo_improves,
     # the goals, 20 Hz and 3 %
     "live_beam": lambda found: all(

@@ -176,7 +176,7 @@ def test_controllers_side_by_side_run_as_each_does_alone():
 def of_light(own: dict[str, Any], full: dict[str, float]) -> dict[str, Any]:
     """The row of a run with these values, whose objects have such scores in full light."""
     names = {"tracked": dict.fromkeys(full, 1.0), "found": dict.fromkeys(full, 2), "scores": full}
-    base = {"flux_lm": [400.0] * 50 + [40.0] * 10, "eyes_lx": [None, 0.4], "newcomer_lx": [0.0] * 20, "causes": {}, "false": [False]}
+    base = {"flux_lm": [400.0] * 40 + [40.0] * 10, "eyes_lx": [None, 0.4], "newcomer_lx": [0.0] * 20, "causes": {}, "false": [False]}
     beams = {beam: [full] for beam in (object_based.LOW, object_based.FULL)}
     result = {"flux_lm": {object_based.LOW: 400.0, object_based.FULL: 6000.0}, "scores": beams}
     return next(object_based.measures({}, result | {"runs": {object_based.ALONE: [{**names, **base, **own}]}}))
@@ -238,7 +238,7 @@ def test_scenes_are_others_than_those_of_training_and_newcomers_have_room(popula
     first = object_based.FIRST[population]
     assert first > scenes.HELD_OUT + 100_000 > scenes.TRAINING
     given = validate(object_based.scene(population, 1, first, "network"), "here")
-    newcomer, *others = (each.pose_track().pose_at(2.0)[:2, 3] for each in given.all_objects)
+    newcomer, *others = (each.pose_track().pose_at(1.5)[:2, 3] for each in given.all_objects)
     assert len(others) > 2 and all(float((newcomer - other).norm()) > object_based.FREE_M for other in others)
     assert (given.vehicle is not None) == drives
 

@@ -173,6 +173,7 @@ def refuse_scenario(scenario: Scenario, otherwise: str = ONE_BY_ONE) -> None:
         "lighting.painted: batches show no painted pixels": lighting.painted,
         "lighting.power_limit: batches have no limit": lighting.power_limit is not None,
         f"{key}.{timed}: batches show the symbol in all steps": timed,
+        "headlight.droop: batches sum the flux of modules, not the power of pixels": scenario.headlight.droop,
         f"{key}.observer: batches evaluate in the camera's view": symbol.observer,
         f"{key}.weight: batches draw with weight 1": symbol.weight != 1,
         "batches do not support disturbances.oncoming": scenario.disturbances.oncoming,

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 import pytest
+import torch
 from pydantic import BaseModel, TypeAdapter
 
 from luxloop import LuxloopError, Scenario, load, validate
@@ -99,3 +100,11 @@ def test_a_warm_lamp_takes_more_power_for_its_flux():
     assert load("obl").headlight.power_w(400.0) == 5.0 + 400.0 / 40.0  # junctions stay cold by default
     with pytest.raises(LuxloopError, match="a lamp of 1001 lm gets too hot to give more than 1000 lm; lower thermal_k_w"):
         headlight.power_w(1001.0)
+
+
+def test_pixels_dimmed_by_current_follow_a_data_sheet():
+    """LedEngin LZ1-00NW05: 240 lm and 3.8 V at 1.5 A, 190 lm and 3.6 V at 1 A; by pulse width power falls as the flux does."""
+    full, share = 240 / (1.5 * 3.8), torch.tensor([190 / 240])  # lm/W
+    took_w = load("obl", ["headlight.droop=1.3"]).headlight.at_full_current(share) * 240 / full
+    assert took_w.item() == pytest.approx(1.0 * 3.6, rel=0.02)
+    assert load("obl").headlight.at_full_current(share) is share

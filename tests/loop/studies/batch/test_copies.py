@@ -97,6 +97,7 @@ def test_noise_is_that_of_each_copys_seed_and_step(simulation):
     [
         (["functions.symbol.start_s=0.1"], r"functions\.symbol\.start_s: batches show the symbol in all steps"),
         (["disturbances.oncoming=[{ position_m=[40, 2, 0.65] }]"], r"disturbances\.oncoming; leave it out, or run it one by one"),
+        (["headlight.droop=1"], r"headlight\.droop: batches sum the flux"),
         (["lighting.power_limit=0.5"], r"lighting\.power_limit: batches have no limit"),
         (["vehicle.course=[{ speed_m_s=10.0 }]"], "in which nothing moves"),
     ],
