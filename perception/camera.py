@@ -10,7 +10,7 @@ noise in the dark.
 """
 
 import math
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, Final, Literal, Protocol, Self
 
 import torch
 from pydantic import Field, model_validator
@@ -159,6 +159,19 @@ BLOOM_DEG = 0.1  # inside this angle the veil is constant, since the formula div
 Speed = Annotated[float, Field(ge=-200, le=200)]
 
 
+class GlareSource(Protocol):
+    """A round lamp, or the sun; veil: as of `OncomingParams`."""
+
+    @property
+    def intensity_cd(self) -> float: ...
+
+    @property
+    def diameter_m(self) -> float: ...
+
+    @property
+    def veil(self) -> float: ...
+
+
 class OncomingParams(Params):
     """An oncoming headlamp: a source that faces the camera, lights no surfaces and is never occluded."""
 
@@ -181,7 +194,7 @@ class OncomingParams(Params):
         return start + t_s * velocity
 
 
-def glare(view: View, position: Tensor, lamp: OncomingParams, device: torch.device | str = "cpu") -> Tensor:
+def glare(view: View, position: Tensor, lamp: GlareSource, device: torch.device | str = "cpu") -> Tensor:
     """Luminance `[height, width]` in cd/m^2, float32, that a lamp at a position `[3]` m in the world adds to a view's image.
 
     Its image is a Gaussian as wide as lamp and pixel together and integrates to the illuminance E = I / r^2; the veil is `veil * 10 E /

@@ -30,7 +30,7 @@ from luxloop.world.light.emitters import spot_intensity
 from luxloop.world.light.illumination import lux_per_cd
 from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.rendering.raycast import sees
-from luxloop.world.scene.scene import Ground
+from luxloop.world.scene.scene import SUN_M, Ground
 from luxloop.world.scene.triangles import Group, Instance, Triangles
 from luxloop.world.scene.vehicle import VehiclePath
 from luxloop.world.traffic.car import CarParams
@@ -190,6 +190,8 @@ class Onlooker:
         spots = ((spot, spot.position.double()[:, None]) for spot in lit.scene.spotlights_at(lit.time_s))
         shining = [(place, float(spot_intensity(spot, (eye - place).float())), spot.rgb) for spot, place in spots]
         shining += [(torch.tensor(each.position_m).double()[:, None], each.intensity_cd, WHITE) for each in lit.scene.street_lamps]
+        if (sun := lit.scene.sun) is not None:
+            shining.append((eye + SUN_M * sun.direction[:, None], sun.intensity_cd, WHITE))
         if self.rides is not None:
             for module, u, command in zip(lit.modules, lights, commands or (REST,) * len(lights), strict=True):
                 T = lit.vehicle.T_world_body @ module.turned(command)

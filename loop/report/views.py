@@ -16,7 +16,7 @@ from luxloop.loop.simulation.simulated import build_scene
 from luxloop.world.frames import T_ISO_OPENCV, View, pose, pose_from_degrees
 from luxloop.world.headlight.lamp import Commands, Lamp, direction
 from luxloop.world.headlight.matrix import LUMINANCE
-from luxloop.world.light.emitters import Source, ambient_luminance, sources, surface_light
+from luxloop.world.light.emitters import Source, ambient_luminance, sources, sun_luminance, surface_light
 from luxloop.world.light.volumetric import FARTHEST_M, ShadowMap, airlight, shadow_map
 from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
 from luxloop.world.rendering.surfaces import FaceSource, face_source
@@ -126,6 +126,8 @@ class Road:
         illuminance, luminance = surface_light(surfaces, car.sources, self._shades)
         others = self._scene.spotlights_at(self.time_s)
         luminance = luminance + ambient_luminance(surfaces, self._scene.ambient_lx, self._scene.street_lamps, others)
+        if self._scene.sun is not None:
+            luminance = luminance + sun_luminance(surfaces, self._scene.sun, self._triangles, view.origin)
         if air:
             luminance = luminance + self._airlight(air, surfaces, view, car.sources)
         total = np.where(surfaces.object_id.numpy() < 0, np.nan, grey(picture(illuminance)))

@@ -36,7 +36,7 @@ from luxloop.world.plugin import PATTERN, Name, colon_remedy, refuse_code
 from luxloop.world.regulation import beam_rules
 from luxloop.world.roads.shapes import Flat, RoadParams
 from luxloop.world.scene.air import AirParams
-from luxloop.world.scene.scene import StreetLamp
+from luxloop.world.scene.scene import StreetLamp, SunParams
 from luxloop.world.scene.vehicle import VehicleParams
 from luxloop.world.traffic.generator import TrafficParams
 from luxloop.world.traffic.objects import ObjectParams
@@ -116,6 +116,7 @@ class LightParams(Params):
 
     ambient_lx: float = Field(0.3, ge=0, le=100_000, description="illuminance of a surface facing the sky")
     street_lamps: tuple[StreetLamp, ...] = Field((), description="point lights")
+    sun: SunParams | None = Field(None, description="a low sun; left out: none")
 
 
 class VideoParams(Params):

@@ -43,7 +43,7 @@ from luxloop.perception.egomotion import Ego
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.perception.metrics import THRESHOLD
 from luxloop.world.errors import LuxloopError, locate
-from luxloop.world.light.emitters import ambient_luminance
+from luxloop.world.light.emitters import ambient_luminance, sun_luminance
 from luxloop.world.light.illumination import added_light
 from luxloop.world.materials.library import RoadSurfaceParams
 from luxloop.world.rendering.gbuffer import flat_road
@@ -307,7 +307,8 @@ def _without_headlamps(sensor: SymbolSensor, world: World) -> Tensor:
     target = ProjectionCommand(sensor.projector.target)
     crop = sensor.projector.footprint(target, world.view, sensor.params.footprint_margin_m)
     road, scene = flat_road(world.view.within(*crop.slices), sensor.model.albedo), world.scene
-    return ambient_luminance(road, scene.ambient_lx, scene.street_lamps, scene.spotlights_at(0.0))
+    lit = ambient_luminance(road, scene.ambient_lx, scene.street_lamps, scene.spotlights_at(0.0))
+    return lit if scene.sun is None else lit + sun_luminance(road, scene.sun)
 
 
 def _target(symbol: SymbolParams) -> str:

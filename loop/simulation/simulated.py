@@ -31,7 +31,7 @@ from luxloop.world.roads.base import Road
 from luxloop.world.roads.scan import OpenCrgRoad
 from luxloop.world.scene.body import Body, Figure
 from luxloop.world.scene.ground import AROUND_M, SIGHT_M, RoadPatches, RoadTiles, StandingRoad
-from luxloop.world.scene.scene import Ground, Scene
+from luxloop.world.scene.scene import SUN_M, Ground, Scene
 from luxloop.world.scene.vehicle import STANDING, LateBody, Motion, drive
 from luxloop.world.traffic.objects import ObjectParams
 
@@ -68,7 +68,9 @@ def build_scene(scenario: Scenario, motion: Motion = STANDING, cache: PartCache 
     else:
         others_y_m = tuple(y for each in objects for y in each.track.T_world_body[:, 1, 3].tolist())
         ground = cache("ground", RoadTiles, road, albedo, texture, motion.range_y_m, others_y_m, sight_m)
-    return cache("scene", Scene, (ground, *objects), scenario.light.ambient_lx, scenario.light.street_lamps, scenario.air)
+    return cache(
+        "scene", Scene, (ground, *objects), scenario.light.ambient_lx, scenario.light.street_lamps, scenario.air, scenario.light.sun
+    )
 
 
 def body_of(item: ObjectParams, road: Road) -> Body | Figure:
@@ -171,6 +173,10 @@ class SimulatedPlant:
             view, position, medium = self.world.view_at(t_s), lamp.position_at(t_s), self.world.scene.air_at(t_s)
             dimmed = 1.0 if medium is None else float(medium.transmittance(position - view.origin))
             luminance = luminance + dimmed * glare(view.within(*part), position, lamp, device)
+        if (sun := self.world.scene.sun) is not None:
+            view = self.world.view_at(t_s)
+            if self.world.sees(position := view.origin + SUN_M * sun.direction, t_s):
+                luminance = luminance + glare(view.within(*part), position, sun, device)
         for soiling in self.disturbances.lens_in(step):
             luminance = soiling.through(luminance)
         noise = FrameNoise.of(self.seed, step, frame).part(part, luminance) if camera.noise else None

@@ -22,10 +22,11 @@ from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand
 from luxloop.world.light.backscatter import Backscatter
 from luxloop.world.light.drops import drop_luminance
-from luxloop.world.light.emitters import ambient_luminance
+from luxloop.world.light.emitters import ambient_luminance, sun_luminance
 from luxloop.world.light.illumination import DirectTransport, LightTransport, Shadows, added_light, lit_surface, transport
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.rendering.gbuffer import GBuffer
+from luxloop.world.rendering.raycast import sees
 from luxloop.world.rendering.surfaces import FaceSource, SurfaceSource, surface_source
 from luxloop.world.scene.air import Medium
 from luxloop.world.scene.scene import Scene
@@ -117,6 +118,8 @@ class LitScene:
         """Luminance `[height, width]` in cd/m^2 without the lamps, of surfaces and air."""
         scene = self.scene
         lit = ambient_luminance(self.rendered, scene.ambient_lx, scene.street_lamps, scene.spotlights_at(self.time_s))
+        if scene.sun is not None:
+            lit = lit + sun_luminance(self.rendered, scene.sun, self.triangles, self.eye.origin)
         return average_rows(lit, self.samples)
 
     @cached_property
@@ -361,6 +364,10 @@ class World:
     def view_at(self, t_s: float) -> View:
         """The camera's view in the world frame at a time."""
         return replace(self.view, T_world_view=self.motion.at(t_s).T_world_body @ self.view.T_world_view)
+
+    def sees(self, point: Tensor, t_s: float) -> bool:
+        """Whether the camera sees a point `[3]` m of the world at a time, if it is in the image."""
+        return bool(sees(self.lit(t_s).triangles, self.view_at(t_s).origin, point[:, None]))
 
     def view_from_ground(self, t_s: float) -> View:
         """The camera's view in the ground frame at a time."""

@@ -14,7 +14,7 @@ from luxloop.loop.studio.snapshot import bodies_at
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import inverse, transform
 from luxloop.world.headlight.lamp import direction
-from luxloop.world.light.emitters import Source, ambient_luminance, surface_light, wall_illuminance
+from luxloop.world.light.emitters import Source, ambient_luminance, sun_luminance, surface_light, wall_illuminance
 from luxloop.world.rendering.gbuffer import along
 from luxloop.world.rendering.raycast import first_hits
 
@@ -70,6 +70,8 @@ def _on_scene(run: Run, head: dict[str, Any], eye: Tensor, rays: Tensor, sources
     if world is not None:
         scene = world.scene
         cd_m2 += ambient_luminance(twice, scene.ambient_lx, scene.street_lamps, scene.spotlights_at(time_s))[0]
+        if scene.sun is not None:
+            cd_m2 += sun_luminance(twice, scene.sun, triangles, eye)[0]
     return surfaces.position[:, 0].double(), {
         "surface": ["" if world is None else world.instances[number + 1] for number in surfaces.object_id[0].tolist()],
         "normal": surfaces.normal[:, 0].T.tolist(),

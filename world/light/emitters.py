@@ -10,10 +10,11 @@ from torch import Tensor
 from luxloop.world.frames import unit
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, direction
-from luxloop.world.light.illumination import illuminance, lit_surface, luminance, lux_per_cd
+from luxloop.world.light.illumination import illuminance, lit_surface, luminance, luminance_factors, lux_per_cd
 from luxloop.world.rendering.gbuffer import GBuffer, Haze
+from luxloop.world.rendering.raycast import sees
 from luxloop.world.scene.body import Spotlight
-from luxloop.world.scene.scene import StreetLamp
+from luxloop.world.scene.scene import SUN_M, StreetLamp, SunParams
 from luxloop.world.scene.triangles import Triangles
 
 
@@ -45,6 +46,25 @@ def ambient_luminance(
     if haze is None:
         return luminance
     return haze.transmittance * luminance + (1 - haze.transmittance) * haze.medium.horizon(ambient_lx)
+
+
+def sun_luminance(gbuffer: GBuffer, sun: SunParams, triangles: Triangles | None = None, eye: Tensor | None = None) -> Tensor:
+    """Luminance `[height, width]` in cd/m^2 of surfaces in the light of the sun, glossy ones too.
+
+    triangles: of bodies that cast shadows, None: none. eye: `[3]` m, about which shadows are parallel; default: the world's origin.
+    """
+    position, normal = gbuffer.position.flatten(1), gbuffer.normal.flatten(1)
+    direction = sun.direction.to(position)
+    cosine = (direction @ normal).clamp(min=0)
+    lit = torch.nonzero((gbuffer.object_id.flatten() >= 0) & (cosine > 0))[:, 0]
+    if triangles is not None:
+        place = SUN_M * sun.direction + (0.0 if eye is None else eye.double().cpu())
+        lit = lit[sees(triangles, place, position.index_select(1, lit))]
+    factor = luminance_factors(gbuffer, lit, direction[:, None].expand(3, len(lit)))
+    if gbuffer.haze is not None:
+        factor = factor * gbuffer.haze.transmittance.flatten()[lit]
+    reflected = factor * cosine[lit] * (sun.illuminance_lx / math.pi)
+    return torch.zeros_like(cosine).index_copy(0, lit, reflected).view_as(gbuffer.albedo)
 
 
 def _lux_per_cd(away: Tensor, normal: Tensor, haze: Haze | None) -> Tensor:

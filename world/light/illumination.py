@@ -77,14 +77,14 @@ def lit_surface(
         lit = lit[sees(triangles, T_world_headlight[:3, 3], position[:, index[lit]])]
     index, away, factor = index[lit], away.index_select(1, lit), factor[lit]
     texel, weight = bilinear(headlight, row[index], col[index])
-    beta = _luminance_factor(gbuffer, index, away)
+    beta = luminance_factors(gbuffer, index, away)
     if (haze := gbuffer.haze) is not None:
         factor = factor * haze.medium.transmittance(away)
         beta = beta * haze.transmittance.flatten()[index]
     return LitSurface(index, texel, weight, factor, beta)
 
 
-def _luminance_factor(gbuffer: GBuffer, index: Tensor, away: Tensor) -> Tensor:
+def luminance_factors(gbuffer: GBuffer, index: Tensor, away: Tensor) -> Tensor:
     """Luminance factor `[M]` of the pixels at flat image index `[M]`, lit from `away` `[3, M]` in m, seen from the view's eye."""
     factor = gbuffer.albedo.flatten()[index]
     if gbuffer.finish is None:

@@ -1,19 +1,24 @@
 """The scene: bodies that appear, move and vanish, and the light besides the headlights."""
 
+import math
 from dataclasses import dataclass, replace
+from typing import Final
 
 import torch
 from pydantic import Field
 from torch import Tensor
 
 from luxloop.world.frames import transform
-from luxloop.world.params import Metres, Params
+from luxloop.world.params import Degrees, Metres, Params
 from luxloop.world.scene.air import AirParams, Medium
 from luxloop.world.scene.body import Body, Figure, PoseTrack, Spotlight
 from luxloop.world.scene.ground import Ground
 from luxloop.world.scene.triangles import NOTHING, Group, Instance, Triangles
 
 __all__ = ["Body", "Ground", "PoseTrack", "Scene", "StreetLamp"]
+
+SUN_M: Final = 10_000.0  # from the eye, at which the sun is: shadows within 100 m are parallel to as much as it is wide
+SUN_DEG: Final = 0.53
 
 # (object id, the 16 numbers of T_world_body, a figure's phase) of every body that exists
 Key = tuple[tuple[int, tuple[float, ...]], ...]
@@ -28,6 +33,32 @@ class StreetLamp(Params):
     intensity_cd: float = Field(gt=0, le=1e9, examples=[2000.0], description="luminous intensity in every direction")
 
 
+class SunParams(Params):
+    """A low sun: parallel light with shadows, and a veil in the camera."""
+
+    azimuth_deg: Degrees = Field(0.0, description="direction in the world, to the left of x")
+    elevation_deg: float = Field(10.0, ge=1, le=90, description="height over the horizon")
+    illuminance_lx: float = Field(10_000.0, gt=0, le=150_000, description="illuminance of a surface that faces it, through the air")
+    veil: float = Field(0.1, ge=0, le=10, description="stray light of the camera's lens, as that of an oncoming lamp")
+
+    @property
+    def direction(self) -> Tensor:
+        """Unit vector `[3]` float64 towards it, in the world."""
+        azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
+        ahead = math.cos(elevation)
+        return torch.tensor([ahead * math.cos(azimuth), ahead * math.sin(azimuth), math.sin(elevation)], dtype=torch.float64)
+
+    @property
+    def intensity_cd(self) -> float:
+        """Of a lamp at `SUN_M` of the same illuminance."""
+        return self.illuminance_lx * SUN_M**2
+
+    @property
+    def diameter_m(self) -> float:
+        """Of such a lamp of the same apparent size."""
+        return 2 * SUN_M * math.tan(math.radians(SUN_DEG / 2))
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """A scene. bodies: the road first; their order gives the object ids. ambient_lx: illuminance of a surface facing up by an overcast
@@ -38,6 +69,7 @@ class Scene:
     ambient_lx: float = 0.0
     street_lamps: tuple[StreetLamp, ...] = ()
     air: tuple[AirParams, ...] = ()
+    sun: SunParams | None = None
 
     @property
     def objects(self) -> tuple[Body | Figure, ...]:

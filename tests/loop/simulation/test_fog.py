@@ -129,3 +129,11 @@ def test_a_soiled_lens_and_cover_change_frames_alone_and_light():
     assert float(taken / given) == pytest.approx(1 - 0.4 * 0.7, abs=0.15)
     assert torch.equal(cover.modules[0].flux, clean.modules[0].flux)
     assert float(of_cover[0].mean()) < float(of_clean[0].mean())
+
+
+def test_a_sun_behind_a_van_leaves_no_veil():
+    sun = "light.sun={ elevation_deg = 2.0, illuminance_lx = 100.0 }"
+    behind, aside = (simulated(STREET, sun, objects=[van((12.0, y, 180.0))]) for y in (0.0, 6.0))
+    darkness = [float(frames(each)[0][:60].mean()) for each in (behind, aside, simulated(STREET, objects=[VAN]))]
+    assert darkness[0] < 0.5 * darkness[1]
+    assert darkness[2] < darkness[1]
