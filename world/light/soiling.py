@@ -38,7 +38,8 @@ class SoilingParams(Params):
         """
         if self.coverage == 0:
             return luminance
-        passing = self._map(*luminance.shape[-2:], 0).to(luminance)
+        height, width = luminance.shape[-2:]
+        passing = self._map(height, width, 0).to(luminance)
         lost = 1 - passing
         mean = (lost * luminance).sum((-2, -1), keepdim=True) / lost.sum()
         return passing * luminance + (1 - self.absorption) * lost * mean

@@ -55,6 +55,17 @@ def test_luminances_are_those_of_the_camera(overrides):
     assert float((chroma.amax(0) - chroma.amin(0))[there].max()) > 0.5, "it has colours"
 
 
+def test_air_before_surfaces_has_no_colour_of_theirs():
+    simulation = simulation_of("air=[{ visibility_m = 20.0 }]", objects=[], light={"ambient_lx": 10.0})
+    dark = [torch.zeros(module.headlight.n_pixels) for module in simulation.world.modules]
+    seen = looker(simulation, driver(240)).light(0.0, dark)
+    chroma = (seen / (WEIGHT * seen).sum(0)).amax(0) - 1
+    surfaces = simulation.world.through(driver(240), 0.0).surfaces
+    far = surfaces.haze.transmittance < 1e-3
+    near = surfaces.haze.transmittance > 0.2
+    assert float(chroma[far & (surfaces.object_id >= 0)].abs().max()) < 0.01 < float(chroma[near].max())
+
+
 def test_lamps_that_shine_into_the_eye_veil_the_picture(night):
     simulation, result = night
     dark = simulation_of(objects=[CAR | {"lit": False}, WALKER])
