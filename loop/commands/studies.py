@@ -2,9 +2,9 @@
 
 import shlex
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from luxloop.loop.commands.options import DIFFERS, OK, AllowCode, Count, Device, Keys, Seed, Weight, scenario_of
+from luxloop.loop.commands.options import DIFFERS, OK, AllowCode, Count, Device, Keys, Seed, Weight, scenario_of, within
 from luxloop.loop.report import terminal as tables
 
 CLASSES = 6  # named in the closing line of a data set
@@ -217,6 +217,7 @@ def train_detector(
     *,
     out: Path = Path("runs/detector"),
     scenes: Count = 600,
+    wide: Annotated[int, within(gte=0)] = 0,
     held_out: Count = 100,
     epochs: Count = 68,
     seed: Seed = 0,
@@ -230,6 +231,8 @@ def train_detector(
         Folder for scenes, weights and report; existing scenes are reused.
     scenes
         Scenes to train on, 2 MB each.
+    wide
+        Scenes with bodies of other proportions, loads, poses and textures, and more clutter, to go on with.
     held_out
         Scenes to test it on.
     epochs
@@ -241,7 +244,7 @@ def train_detector(
     """
     from luxloop.loop.studies.training.train import train_detector
 
-    train_detector(out, scenes, held_out, epochs, seed, jobs)
+    train_detector(out, scenes, wide, held_out, epochs, seed, jobs)
 
 
 def detect(file: Path, /, *pictures: Path, set: Keys = None, out: Path = Path("runs/detect")) -> None:

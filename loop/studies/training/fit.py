@@ -39,26 +39,27 @@ class Examples:
     share: Tensor
 
     @classmethod
-    def draw(cls, rows: Sequence[Row], number: int, rng: np.random.Generator) -> "Examples":
-        """Random examples, each from one or two of the scenes that `draw` returned as rows."""
-        full, alone = zip(*(_pair(rows, rng) for _ in range(number)), strict=True)
+    def draw(cls, rows: Sequence[Row], number: int, rng: np.random.Generator, wide: bool = False) -> "Examples":
+        """Random examples, each from one or two of the scenes that `draw` returned as rows. wide: of random aspect, with lit clutter."""
+        full, alone = zip(*(_pair(rows, rng, wide) for _ in range(number)), strict=True)
         return cls(*(torch.stack(each) for each in zip(*full + alone, strict=True)))
 
 
-def _pair(rows: Sequence[Row], rng: np.random.Generator) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+def _pair(rows: Sequence[Row], rng: np.random.Generator, wide: bool) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
     """Example of one scene in full light, and in object-based light."""
-    scene = _scene(rows, rng)
+    scene = _scene(rows, rng, wide)
     scene = replace(scene, ambient_lx=scene.ambient_lx * float(np.exp(rng.normal(0, 1))))
     exposure = float(np.exp(rng.uniform(-0.25, 0.25)))
-    return example(scene, full_light(scene, rng), exposure, rng), example(scene, object_light(scene, rng), exposure, rng)
+    return example(scene, full_light(scene, rng), exposure, rng), example(scene, object_light(scene, rng, wide), exposure, rng)
 
 
 def example(scene: DarkScene, light: Tensor, exposure: float, rng: np.random.Generator) -> tuple[Tensor, ...]:
     """Frame, heat, counts, boxes and share as of `Examples`. light: headlamps' illuminance `[height, width]` lx."""
-    frame = interpolate(exposure * luminance(scene, light)[None, None], SIZE, mode="bilinear", antialias=True, align_corners=False)[0, 0]
+    bright = luminance(scene, light)
+    frame = interpolate(exposure * bright[None, None], SIZE, mode="bilinear", antialias=True, align_corners=False)[0, 0]
     frame = expose(frame, CAMERA, FrameNoise(int(rng.integers(2**62)))) / (2**CAMERA.bits - 1)
     to_frame = torch.tensor([SIZE[1] / scene.shape[1], SIZE[0] / scene.shape[0]]).repeat(2)
-    seen = lit_share(scene, all_light(scene, light), UNSEEN_LX) >= LEAST_LIT
+    seen = lit_share(scene, all_light(scene, bright), UNSEEN_LX) >= LEAST_LIT
     must = lit_share(scene, light, WELL_LIT_LX) >= LEAST_LIT
     boxes = torch.tensor([each.box for each in scene.objects]).view(-1, 4) * to_frame
     must &= torch.tensor([each.visible >= LEAST_VISIBLE and each.inside >= LEAST_INSIDE for each in scene.objects]).bool()
@@ -66,10 +67,10 @@ def example(scene: DarkScene, light: Tensor, exposure: float, rng: np.random.Gen
     return frame, *targets(boxes[seen], torch.tensor([each.label for each in scene.objects]).long()[seen], must[seen])
 
 
-def _scene(rows: Sequence[Row], rng: np.random.Generator) -> DarkScene:
+def _scene(rows: Sequence[Row], rng: np.random.Generator, wide: bool) -> DarkScene:
     """Random part of a scene, of random size, half of them with the objects of another scene."""
-    scale = float(np.exp(rng.uniform(-0.3, 0.35)))
-    height, width = min(round(SIZE[0] / scale), CAMERA.height_px), min(round(SIZE[1] / scale), CAMERA.width_px)
+    scale, aspect = float(np.exp(rng.uniform(-0.3, 0.35))), float(np.exp(rng.uniform(-0.15, 0.15))) if wide else 1.0
+    height, width = min(round(SIZE[0] / (scale * aspect)), CAMERA.height_px), min(round(SIZE[1] * aspect / scale), CAMERA.width_px)
     top = int(rng.integers(CAMERA.height_px - height + 1))
 
     def part() -> DarkScene:
@@ -112,28 +113,31 @@ def targets(boxes: Tensor, labels: Tensor, must: Tensor) -> tuple[Tensor, Tensor
 
 
 BATCH = 8  # scenes, each in two lights
-RATE = 4e-3
+RATE, TUNING_RATE = 4e-3, 1e-3  # greatest learning rates of a new network, and of one that has learnt the first population
 BOX_WEIGHT, AGREE_WEIGHT = 2.0, 0.5
 RARE = 0.02  # initial score of the network: share of cells with an object
 
 
-def fit(rows: Sequence[Row], steps: int, seed: int, on_step: Callable[[float], None]) -> Network:
+def fit(rows: Sequence[Row], steps: int, seed: int, on_step: Callable[[float], None], start: Network | None = None) -> Network:
     """Network trained on `steps` batches, ready to detect, with the mean of its late weights. on_step: called with the loss.
 
-    rows: of scenes, from `luxloop.loop.studies.training.scenes.draw`.
+    rows: of scenes, from `luxloop.loop.studies.training.scenes.draw`. start: a network to go on from, with wide scenes.
     """
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
-    network = Network(len(CLASSES))
+    network, rate, wide = Network(len(CLASSES)), RATE, start is not None
     network.expect(RARE)
+    if start is not None:
+        network.load_state_dict(start.state_dict())
+        rate = TUNING_RATE
     network.train()
     averaged = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(min(0.99, 1 - 10 / (steps + 10))), use_buffers=True)
-    optimiser = torch.optim.AdamW(network.parameters(), RATE, weight_decay=1e-3)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=steps, pct_start=0.15)
+    optimiser = torch.optim.AdamW(network.parameters(), rate, weight_decay=1e-3)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps, pct_start=0.15)
     with ThreadPoolExecutor(1) as ahead:  # a second core draws the next examples
-        coming = ahead.submit(Examples.draw, rows, BATCH, rng)
+        coming = ahead.submit(Examples.draw, rows, BATCH, rng, wide)
         for _ in range(steps):
-            examples, coming = coming.result(), ahead.submit(Examples.draw, rows, BATCH, rng)
+            examples, coming = coming.result(), ahead.submit(Examples.draw, rows, BATCH, rng, wide)
             # half the precision and twice the speed on processors that support it
             with torch.autocast("cpu", torch.bfloat16):
                 logits, sides = network(network_input(examples.frames))

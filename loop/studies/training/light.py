@@ -1,6 +1,7 @@
 """Light for scenes rendered in the dark: full light (even or beam-like), or object-based light."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -14,6 +15,7 @@ FULL_LX = (WELL_LIT_LX, 150.0)  # full light; near surfaces often saturate the c
 DARK_LX = (0.02, 1.0)  # object-based light around objects
 OBJECT_LX = (WELL_LIT_LX, 40.0)  # object-based light on objects
 TOP_LX = (0.2, 1.0)  # object-based light on heads and windscreens
+NOBODY = SceneObject(-1, 0, (0.0, 0.0, 1.0, 1.0), 1.0, 1.0)
 # dark share of a box from its top in glare-free light: the head, or the part above the bumper, with blur and tracking errors
 TOP: Mapping[Category, tuple[float, float]] = {"pedestrian": (0.12, 0.45), "cyclist": (0.12, 0.45), "car": (0.35, 0.75)}
 
@@ -28,14 +30,18 @@ def full_light(scene: DarkScene, rng: np.random.Generator) -> Tensor:
     return (_uniform if rng.random() < 0.6 else _beam)(scene, _between(rng, FULL_LX), rng)
 
 
-def object_light(scene: DarkScene, rng: np.random.Generator) -> Tensor:
-    """Illuminance `[height, width]` in lx of object-based light on most objects, most with dark tops, and on places without objects."""
-    light, (height, width) = (_uniform if rng.random() < 0.5 else _beam)(scene, _between(rng, DARK_LX), rng), scene.shape
+def object_light(scene: DarkScene, rng: np.random.Generator, wide: bool = False) -> Tensor:
+    """Illuminance `[height, width]` in lx of object-based light on most objects, most with dark tops, and on places without objects.
+
+    wide: on clutter, too, and with dark tops on some of these places.
+    """
+    light = (_uniform if rng.random() < 0.5 else _beam)(scene, _between(rng, DARK_LX), rng)
     lit = [each for each in scene.objects if rng.random() < 0.9] if rng.random() < 0.85 else []
-    for _ in range(int(rng.integers(4))):
-        w, h = float(rng.uniform(10, 0.4 * width)), float(rng.uniform(10, 0.5 * height))
-        u, v = float(rng.uniform(-w / 2, width)), float(rng.uniform(-h / 2, height))
-        light = light + _between(rng, OBJECT_LX) * _patch(scene, (u, v, u + w, v + h), float(rng.uniform(0.5, 5)))
+    for box in _places(scene, rng, wide):
+        light = light + _between(rng, OBJECT_LX) * _patch(scene, box, float(rng.uniform(0.5, 5)))
+        if wide and rng.random() < 0.5:
+            top = replace(NOBODY, box=box)
+            light = darken(scene, light, top, float(rng.uniform(0.12, 0.7)), float(rng.uniform(*TOP_LX)), float(rng.uniform(0.7, 2)))
     for each in lit:
         around = _wider(each, float(rng.uniform(-0.03, 0.25)), float(rng.uniform(-0.03, 0.2)))
         light = torch.maximum(light, _between(rng, OBJECT_LX) * _patch(scene, around, float(rng.uniform(0.5, 5))))
@@ -44,6 +50,21 @@ def object_light(scene: DarkScene, rng: np.random.Generator) -> Tensor:
         if share and rng.random() < 0.9:
             light = darken(scene, light, each, float(rng.uniform(*share)), float(rng.uniform(*TOP_LX)), float(rng.uniform(0.7, 2)))
     return light
+
+
+def _places(scene: DarkScene, rng: np.random.Generator, wide: bool) -> Iterator[tuple[float, float, float, float]]:
+    """Boxes anywhere and, if wide, around half of what is no object of the classes, nor the road."""
+    height, width = scene.shape
+    for _ in range(int(rng.integers(4))):
+        w, h = float(rng.uniform(10, 0.4 * width)), float(rng.uniform(10, 0.5 * height))
+        u, v = float(rng.uniform(-w / 2, width)), float(rng.uniform(-h / 2, height))
+        yield u, v, u + w, v + h
+    known = {each.object_id for each in scene.objects}
+    for object_id in scene.pixels[1].unique().tolist() if wide else ():
+        if object_id not in known and rng.random() < 0.5:
+            here = scene.object_id == object_id
+            rows, columns = (torch.nonzero(here.any(axis))[:, 0].tolist() for axis in (1, 0))
+            yield float(columns[0]), float(rows[0]), float(columns[-1] + 1), float(rows[-1] + 1)
 
 
 def darken(scene: DarkScene, light: Tensor, each: SceneObject, share: float, lx: float, soft: float) -> Tensor:
@@ -102,14 +123,15 @@ def _patch(scene: DarkScene, box: tuple[float, float, float, float], soft: float
     return down[:, None] * across
 
 
-def all_light(scene: DarkScene, lx: Tensor) -> Tensor:
-    """Headlamp illuminance `[height, width]` in lx equivalent to `lx` from the headlamps plus all other light."""
-    return torch.where(scene.lamps > 0, luminance(scene, lx) / scene.lamps.clamp(min=1e-6), 0)
+def all_light(scene: DarkScene, bright: Tensor) -> Tensor:
+    """Headlamp illuminance `[height, width]` in lx that gives a luminance in cd/m^2."""
+    return torch.where(scene.lamps > 0, bright / scene.lamps.clamp(min=1e-6), 0)
 
 
 def lit_share(scene: DarkScene, light: Tensor, lx: float) -> Tensor:
     """Share `[n]` of each object's visible part with at least `lx`."""
-    ids, its = scene.object_id.flatten() + 1, torch.tensor([each.object_id + 1 for each in scene.objects]).long()
+    at, ids = scene.pixels
+    its = torch.tensor([each.object_id for each in scene.objects]).long()
     rows = 1 + max(its.tolist(), default=0)
-    lit, pixels = torch.bincount(ids, (light >= lx).flatten().float(), rows), torch.bincount(ids, minlength=rows)
+    lit, pixels = torch.bincount(ids, light.flatten()[at] >= lx, rows), torch.bincount(ids, minlength=rows)
     return lit[its] / pixels[its].clamp(min=1)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.simulated import build_scene
+from luxloop.loop.studies.training.widening import crowded, widened
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.ground_truth import ground_truth
 from luxloop.world.files import whole
@@ -34,6 +35,7 @@ LAMPS_M = ((0.0, 0.6, 0.75), (0.0, -0.6, 0.75))
 CLASSES: tuple[Category, ...] = ("pedestrian", "cyclist", "car", "animal")
 TRAINING, HELD_OUT = 10_000, 1_000_000  # first seeds of scenes; both sets have different objects
 ROADS = 8  # roads of each set
+SWAY = (1.5, 1.0, 2.5, 0.15)  # standard deviations of the camera's pitch, roll and yaw in deg, and of its height in m, in training
 LARGEST = 6e4  # limit of half precision
 MOMENTS_S = 4.0  # range of a scene's random time
 Row = Mapping[str, Any]  # of a scene, from `draw`, with its seed and folder
@@ -88,6 +90,13 @@ class DarkScene:
         height, width = self.lamps.shape
         return height, width
 
+    @cached_property
+    def pixels(self) -> tuple[Tensor, Tensor]:
+        """Places of the objects' pixels in the flattened image, and their objects, `[n]` each."""
+        ids = self.object_id.flatten()
+        at = torch.nonzero(ids > 0)[:, 0]
+        return at, ids[at]
+
     def shift(self, left: int, top: int) -> "DarkScene":
         """Scene with the image origin at a column and row; boxes are clipped to the image."""
         return replace(self, objects=tuple(found for each in self.objects if (found := each.within(left, top, *self.shape[::-1]))))
@@ -120,13 +129,25 @@ def _in_sight(scene: DarkScene, object_id: Tensor) -> tuple[SceneObject, ...]:
     return tuple(replace(each, visible=each.visible * share[each.object_id + 1]) for each in scene.objects)
 
 
-def draw(seed: int, folder: str) -> dict[str, Any]:
-    """Render the scene of a seed into `folder/SEED.npy`; returns its row. Raises LuxloopError on a write error."""
-    scenario = _scenario(seed)
-    ground, source = _road(road_seed(seed))
-    scene = Scene((ground, *(item.build() for item in scenario.all_objects)), 0.0, scenario.light.street_lamps)
+def draw(seed: int, folder: str, wide: bool = False) -> dict[str, Any]:
+    """Render the scene of a seed into `folder/SEED.npy`; returns its row. Raises LuxloopError on a write error.
+
+    wide: with more kinds of bodies and roads, and a camera that looks elsewhere, for training alone.
+    """
+    scenario = _scenario(seed, wide)
+    ground, source = _road(road_seed(seed), wide)
     time_s = float(np.random.default_rng([seed, 2]).uniform(0, MOMENTS_S))
-    triangles, view = scene.at(time_s), camera_view(CAMERA)
+    # parked cars count as cars, although trackers do not report them
+    bodies = [(item.build(), "car" if item.kind == "car" else item.category) for item in scenario.all_objects]
+    camera = CAMERA
+    if wide:
+        rng = np.random.default_rng([seed, 5])
+        bodies = widened(scenario.all_objects, ground.road, time_s, rng)
+        camera = CAMERA.model_copy(
+            update=dict(zip(("pitch_deg", "roll_deg", "yaw_deg", "z_m"), rng.normal((1.5, 0, 0, 1.35), SWAY), strict=True))
+        )
+    scene = Scene((ground, *(body for body, _ in bodies)), 0.0, scenario.light.street_lamps)
+    triangles, view = scene.at(time_s), camera_view(camera)
     surfaces = source.gbuffer(triangles, view)
     here = surfaces.object_id >= 0
     away = surfaces.position - torch.tensor(LAMPS_M).mean(0)[:, None, None]
@@ -137,8 +158,6 @@ def draw(seed: int, folder: str) -> dict[str, Any]:
     Path(folder).mkdir(parents=True, exist_ok=True)
     with whole(_file(folder, seed)) as part, part.open("wb") as stream:
         np.save(stream, layers.clamp(max=LARGEST).half().numpy())
-    # parked cars count as cars, although trackers do not report them
-    names = ["car" if item.kind == "car" else item.category for item in scenario.all_objects]
     objects = [
         {
             "object_id": each.object_id,
@@ -147,7 +166,7 @@ def draw(seed: int, folder: str) -> dict[str, Any]:
             "visible": each.visible,
             "inside": each.inside,
         }
-        for each in ground_truth(surfaces, triangles, view, names)
+        for each in ground_truth(surfaces, triangles, view, [category for _, category in bodies])
         if each.category in CLASSES and each.inside > 0
     ]
     return {"ambient_lx": scenario.light.ambient_lx, "objects": objects}
@@ -156,7 +175,7 @@ def draw(seed: int, folder: str) -> dict[str, Any]:
 def read(row: Row, rows: slice = slice(None), columns: slice = slice(None)) -> DarkScene:
     """Scene of a row from `draw`, or a part of its image, to which boxes are then relative. Raises OSError if the file is gone."""
     layers = np.load(_file(row["folder"], row["seed"]), mmap_mode="r")[:, rows, columns]
-    lamps, distance, own, sky, object_id = torch.from_numpy(layers.astype(np.float32))
+    lamps, distance, own, sky, object_id = torch.from_numpy(np.array(layers)).float()
     objects = tuple(SceneObject(**{**each, "box": tuple(each["box"])}) for each in row["objects"])
     scene = DarkScene(lamps, distance, own, sky, object_id.int(), row["ambient_lx"], objects)
     return scene.shift(columns.start or 0, rows.start or 0)
@@ -175,8 +194,11 @@ def tables(seed: int) -> dict[str, Any]:
     return found
 
 
-def _scenario(seed: int) -> Scenario:
-    return validate({"name": "training", "lighting": {}, **tables(seed)}, f"seed {seed}")
+def _scenario(seed: int, wide: bool) -> Scenario:
+    found = tables(seed)
+    if wide:
+        found |= crowded(found, road_seed(seed))
+    return validate({"name": "training", "lighting": {}, **found}, f"seed {seed}")
 
 
 def road_seed(seed: int) -> int:
@@ -185,8 +207,8 @@ def road_seed(seed: int) -> int:
 
 
 @lru_cache(1)  # 0.1 GB
-def _road(seed: int) -> tuple[Ground, SurfaceSource]:
-    scenario = _scenario(seed).model_copy(update={"objects": (), "traffic": None})
+def _road(seed: int, wide: bool) -> tuple[Ground, SurfaceSource]:
+    scenario = _scenario(seed, wide).model_copy(update={"objects": (), "traffic": None})
     ground = build_scene(scenario).bodies[0]
     assert isinstance(ground, Ground)
     return ground, surface_source(face_source(), moving=True)

@@ -21,7 +21,7 @@ from luxloop.loop.report import terminal as tables
 from luxloop.loop.report.style import FOUR, drawing
 from luxloop.loop.report.terminal import number
 from luxloop.loop.studies.jobs import Executor, Job, Results, digest_of, local, run
-from luxloop.loop.studies.training import scenes
+from luxloop.loop.studies.training import scenes, widening
 from luxloop.loop.studies.training.evaluate import (
     AGREE,
     ALONE_LX,
@@ -79,15 +79,17 @@ def page(report: Report) -> str:
     rows = ((name, limit, number(value), "yes" if reached else "no") for name, limit, value, reached in goals(report))
     others = "; ".join(f"{number(each['recall'])} at {each['false_a_frame']:g} ({each['score']:g})" for each in report["by_score"])
     right = ", ".join(f"{number(each['right'])} of {each['boxes']} ({each['from']:g} to {each['to']:g})" for each in report["right"])
-    learnt = training["scenes"] - training["calibrated_on"]
+    wide = training.get("wide")
+    learnt = training["scenes"] - (0 if wide else training["calibrated_on"])
     asked = f"{training['calibrated_on']} more" if learnt else "the same, since so few leave none for that"
+    then = f", then on {wide['scenes']} wide scenes, {wide['epochs']} epochs ({wide['examples']} examples)" if wide else ""
     minutes = ", ".join(f"{name} {number(value)} min" for name, value in training.get("minutes", {}).items())
     lx = report["confidence"]["lx"]
     curves = {"all": report["confidence"]["all"], "all, at night": report["confidence_at_night"]["all"]}
     curves |= {name: report["confidence"][name] for name in CLASSES}
     medians = ((name, *(number(each, ".2f") for each in of["median"])) for name, of in curves.items())
     return f"""Trained on {report["date"]} on {learnt or training["scenes"]} scenes, {training["epochs"]} epochs \
-({training["examples"]} examples), seed {training["seed"]}{f" ({minutes})" if minutes else ""}; calibrated on {asked}; \
+({training["examples"]} examples){then}, seed {training["seed"]}{f" ({minutes})" if minutes else ""}; calibrated on {asked}; \
 evaluated on {report["scenes"]} other scenes with {found["objects"]} objects, none of which occurs in the training scenes.
 
 {tables.markdown_table(("", "goal", "measured", "reached"), rows, "llrl")}
@@ -138,11 +140,13 @@ JOBS, FOLDER, WEIGHTS = "scenes.jsonl", "scenes", "detector.pt"
 LEAST_SCORE = 0.01  # of detections that are evaluated
 SUREST = 1e-6  # least distance of a score to 1, where the logit diverges
 CALIBRATING = 10  # one in so many scenes is kept for calibration
-VERSION = digest_of(scenes)
+WIDE_EPOCHS = 11
+VERSION = digest_of(scenes, widening)
 
 
-def train(out: Path, number: int, held_out: int, epochs: int, seed: int, processes: int | None) -> dict[str, Any]:
-    """Train on some scenes, test on others, write weights and report into a folder; returns the report.
+def train(out: Path, number: int, wide: int, held_out: int, epochs: int, seed: int, processes: int | None) -> dict[str, Any]:
+    """Train on scenes of the first population, go on with wide ones, test on others, write weights and report into a folder; returns the
+    report.
 
     Raises LuxloopError for scenes that cannot be rendered, a network that has learnt nothing, or a folder that cannot be written.
     """
@@ -150,10 +154,11 @@ def train(out: Path, number: int, held_out: int, epochs: int, seed: int, process
     with output_folder(out), output_folder(out / FOLDER):
         started = time.monotonic()
         seen = draw_scenes(out, scenes.TRAINING, number, executor, "scenes to train on")
+        wider = draw_scenes(out, scenes.TRAINING, wide, executor, "wide scenes to train on", wide=True)
         others = draw_scenes(out, scenes.HELD_OUT, held_out, executor, "scenes held out")
         drew = time.monotonic()
         try:
-            detector, training = _learnt(seen, epochs, seed)
+            detector, training = _learnt(seen, wider, epochs, seed)
             training["minutes"] = {"drawing": round((drew - started) / 60, 1), "training": round((time.monotonic() - drew) / 60, 1)}
             found = evaluate(detector, others)
         except OSError as error:
@@ -178,27 +183,35 @@ def store(detector: NetworkDetector, report: Mapping[str, Any], out: Path) -> No
         save(detector.network, detector.classes, file)
 
 
-def _learnt(rows: Sequence[Row], epochs: int, seed: int) -> tuple[NetworkDetector, dict[str, Any]]:
-    """Trained network as stored, and facts of its training. Too few scenes serve both training and calibration."""
-    last = len(rows) // CALIBRATING
-    learnt, asked = (rows[:-last], rows[-last:]) if last else (rows, rows)
-    steps = -(-epochs * len(learnt) // BATCH)
-    with tables.progress("training", steps) as advance:
+def _learnt(seen: Sequence[Row], wider: Sequence[Row], epochs: int, seed: int) -> tuple[NetworkDetector, dict[str, Any]]:
+    """Trained network as stored, and facts of its training; calibrated on a part of the last scenes."""
+    (learnt, asked), (also, wide_asked) = _parted(seen), _parted(wider)
+    steps, more = -(-epochs * len(learnt) // BATCH), -(-WIDE_EPOCHS * len(also) // BATCH)
+    with tables.progress("training", steps + more) as advance:
         network = fit(learnt, steps, seed, lambda _: advance())
+        if also:
+            network, asked = fit(also, more, seed, lambda _: advance(), network), wide_asked
     detector = NetworkDetector(network, scenes.CLASSES, LEAST_SCORE, NetworkParams().overlap)
     slope, shift = calibrate(detector, asked)
     network.half().float()
     return detector, {
-        **{"scenes": len(rows), "epochs": epochs, "examples": steps * BATCH * 2, "seed": seed},
+        **{"scenes": len(learnt) if also else len(seen), "epochs": epochs, "examples": steps * BATCH * 2, "seed": seed},
+        **({"wide": {"scenes": len(also), "epochs": WIDE_EPOCHS, "examples": more * BATCH * 2}} if also else {}),
         **{"calibrated_on": len(asked), "slope": round(slope, 3), "shift": round(shift, 3)},
     }
 
 
-def draw_scenes(out: Path, first: int, number: int, executor: Executor, title: str) -> Sequence[Row]:
+def _parted(rows: Sequence[Row]) -> tuple[Sequence[Row], Sequence[Row]]:
+    """Scenes to learn from and to calibrate on; too few serve both."""
+    last = len(rows) // CALIBRATING
+    return (rows[:-last], rows[-last:]) if last else (rows, rows)
+
+
+def draw_scenes(out: Path, first: int, number: int, executor: Executor, title: str, wide: bool = False) -> Sequence[Row]:
     """Rows of scenes from a first seed on, rendered unless they are in the folder. Raises LuxloopError if a scene cannot be rendered."""
-    folder = str(out / FOLDER)
+    folder, name = (out / FOLDER / "wide", "wide scene") if wide else (out / FOLDER, "scene")
     seeds = sorted(range(first, first + number), key=scenes.road_seed)  # ordered by road
-    jobs = [Job(f"scene {seed}", {"seed": seed, "folder": folder}) for seed in seeds]
+    jobs = [Job(f"{name} {seed}", {"seed": seed, "folder": str(folder), "wide": wide}) for seed in seeds]
     results: Results = run(scenes.draw, jobs, out / JOBS, version=VERSION, executor=executor, title=title)
     if results.failures:
         key, reason = next(iter(results.failures.items()))
@@ -206,9 +219,9 @@ def draw_scenes(out: Path, first: int, number: int, executor: Executor, title: s
     return sorted(results.rows, key=lambda row: int(row["seed"]))
 
 
-def train_detector(out: Path, number: int, held_out: int, epochs: int, seed: int, processes: int | None) -> None:
+def train_detector(out: Path, number: int, wide: int, held_out: int, epochs: int, seed: int, processes: int | None) -> None:
     """Train a detector and print its goals."""
-    report = train(out, number, held_out, epochs, seed, processes)
+    report = train(out, number, wide, held_out, epochs, seed, processes)
     tables.show(overview(report))
     print(f"{out / WEIGHTS} and {out / 'report.md'} written")
 
