@@ -151,7 +151,9 @@ class TrackerParams(Params):
     """Parameters of luxloop's tracker."""
 
     kind: Literal["kalman"] = "kalman"
-    start_score: PositiveShare = Field(0.5, description="least score of a detection that starts a track; half of it continues one")
+    start_score: PositiveShare = Field(
+        0.65, description="least score of a detection that starts a track and speaks for its existence; half of it continues one"
+    )
     confirm_frames: int = Field(3, ge=1, le=30, description="consecutive frames with at least that score before a new object is reported")
     keep_s: float = Field(
         0.6,
@@ -312,7 +314,7 @@ class Tracker:
         likely = (frames >= self.params.confirm_frames) & (confidence.amax(-1) >= self.params.start_score)
         whole = self.whole(tracks)
         away = (whole[:, 2] < 0) | (whole[:, 0] > self.view.width)
-        evidence = score.amax(-1).clamp(max=SUREST).logit() - math.log(self.params.keeps_score / (1 - self.params.keeps_score))
+        evidence = score.amax(-1).clamp(max=SUREST).logit() - math.log(self.params.start_score / (1 - self.params.start_score))
         odds_s = (tracks.odds_s + dt * torch.where(shown, evidence, -1.0)).clamp(max=self.params.keep_s)
         gone = ~shown & (away | (odds_s < -dt / 2))  # half a frame, for rounded times
         return replace(

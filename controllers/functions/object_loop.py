@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from luxloop.controllers.situation import TrackedObject
+from luxloop.controllers.situation import SURE, TrackedObject
 from luxloop.world.params import Params, Positive, PositiveShare, Share, in_order
 from luxloop.world.traffic.tracked import Category
 
@@ -157,20 +157,20 @@ class ObjectLoopParams(Params):
         return loop.settled and (loop.lx >= most or (loop.bounds_lx[1] >= most and loop.recent > loop.expected - self.drop))
 
     def step(self, loop: ObjectLoop, each: TrackedObject, height_rad: float) -> ObjectLoop:
-        """The state after a frame of the object in the commanded light."""
-        score = _found(each)
+        """The state after a frame of the object in the commanded light. One that was sure gets more light once its track is doubtful."""
+        score, (least, most) = _found(each), self.search.bounds_lx
+        doubtful = loop.settled and loop.lx < most and each.confidence < SURE <= loop.expected
         loop = replace(loop, recent=loop.recent + RECENT * (score - loop.recent), scores=(*loop.scores, score))
-        if len(loop.scores) < (self.watch_frames if loop.settled else self.frames):
+        if len(loop.scores) < (self.watch_frames if loop.settled else self.frames) and not doubtful:
             return loop
         mean = sum(loop.scores) / len(loop.scores)
         loop = replace(loop, scores=(), peak=max(loop.peak, mean))
         if loop.settled:
             low, high = sorted((height_rad, loop.height_rad))
             changed = each.category != loop.category or high > self.change * low
-            other = abs(mean - loop.expected) > self.drop
+            other = doubtful or abs(mean - loop.expected) > self.drop
             if not changed and not other:
                 return replace(loop, expected=loop.expected + FOLLOWING * (mean - loop.expected))
-            least, most = self.search.bounds_lx
             bounds_lx = max(loop.lx / self.around, least), most if other else min(loop.lx * self.around, most)
             loop = replace(loop, bounds_lx=bounds_lx, category=each.category, height_rad=height_rad, trials=())
         trials = (*loop.trials, (loop.lx, mean))

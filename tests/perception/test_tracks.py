@@ -61,10 +61,10 @@ def test_a_new_object_is_reported_after_the_frames_that_confirm_it():
 
 
 def test_a_lost_one_is_kept_for_a_while_then_lost_then_forgotten():
-    kept, lost = (shown(20, then=round(RATE_HZ * TRACKER.params.keep_s) + more) for more in (-1, 1))
+    kept, lost = (shown(30, then=round(RATE_HZ * TRACKER.params.keep_s) + more) for more in (-1, 1))
     assert math.isinf(float(kept.confirmed_tracks.until_s)) and bool(kept.confirmed_tracks.score.isnan().all())
     assert float(lost.confirmed_tracks.until_s) == pytest.approx(
-        19 / RATE_HZ + TRACKER.params.keep_s, abs=1.1 / RATE_HZ
+        29 / RATE_HZ + TRACKER.params.keep_s, abs=1.1 / RATE_HZ
     )  # the first frame after it
     assert [len(TRACKER.step(lost, NOTHING, lost.time_s + share * LINGER_S)) for share in (0.9, 1.1)] == [1, 0]
     again = TRACKER.step(lost, detections(BOX), lost.time_s + 1 / RATE_HZ)
@@ -74,15 +74,16 @@ def test_a_lost_one_is_kept_for_a_while_then_lost_then_forgotten():
 @pytest.mark.parametrize("rate_hz", [10.0, 30.0, 100.0])
 @pytest.mark.parametrize("score", [0.4, 0.8, 1.0])
 def test_a_track_outlasts_misses_by_the_log_odds_of_its_detections_and_no_longer_than_keep_s(rate_hz, score):
-    """A miss costs 1, a detection after the first gains logit(score) - logit(0.25), where scores above 0.95 count as 0.95."""
-    odds = min(score, 0.95) / (1 - min(score, 0.95))
+    """A miss costs 1, a detection after the first gains logit(score) - logit(start_score), where scores above 0.95 count as 0.95."""
+    start = TRACKER.params.start_score
+    ratio = min(score, 0.95) / (1 - min(score, 0.95)) * (1 - start) / start
     for frames, keep_s in ((3, 1.0), (4, 10.0), (10, 0.4)):
         params = TrackerParams(keep_s=keep_s)
         known = tracked(
             [detections(BOX)] + [detections(BOX, scores=[[score, 0.1, 0, 0]])] * (frames - 1), Tracker(CLASSES, VIEW, params), rate_hz
         )
         confirmed = replace(known, since_s=torch.zeros(1).double())  # also where the score starts no track
-        kept = round(min((frames - 1) * math.log(3 * odds), keep_s * rate_hz))
+        kept = max(round(min((frames - 1) * math.log(ratio), keep_s * rate_hz)), 0)
         found = []
         for k in range(kept + 1):
             confirmed = Tracker(CLASSES, VIEW, params).step(confirmed, NOTHING, (frames + k) / rate_hz)

@@ -70,6 +70,21 @@ def test_the_light_comes_down_to_the_knee(knee, slope, fall, noise, seed):
     assert set(kept) == {last.lx}
 
 
+def test_who_was_sure_and_becomes_doubtful_gets_full_light_at_once_until_it_is_found_or_refuted():
+    params, curve = ObjectLoopParams(), Knee(4.0, top=0.9)
+    settled = followed(params, curve)[-1]
+    assert settled.settled and settled.lx < 20.0
+    assert params.step(settled, replace(PERSON, score=0.9, confidence=0.75), HIGH).lx == settled.lx
+    lost = params.step(settled, replace(PERSON, score=math.nan, confidence=0.65), HIGH)
+    assert lost.lx == 20.0 and not lost.settled
+    found, refuted = lost, lost
+    for _ in range(STEPS):
+        found = params.step(found, replace(PERSON, score=curve(found.lx), confidence=0.9), HIGH)
+        refuted = params.step(refuted, replace(PERSON, score=0.1, confidence=0.1), HIGH)
+    assert found.settled and found.lx < 20.0
+    assert refuted.settled and refuted.lx < 20.0
+
+
 @settings(max_examples=30)
 @given(knee=st.floats(2, 15), noise=st.floats(0, 0.08), seed=st.integers(0, 99))
 def test_what_has_settled_stays_where_nothing_changes(knee, noise, seed):
