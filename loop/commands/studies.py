@@ -217,7 +217,7 @@ def train_detector(
     *,
     out: Path = Path("runs/detector"),
     scenes: Count = 600,
-    wide: Annotated[int, within(gte=0)] = 0,
+    wide: Annotated[int, within(gte=0)] = 400,
     held_out: Count = 100,
     epochs: Count = 68,
     seed: Seed = 0,

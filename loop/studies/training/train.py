@@ -38,7 +38,7 @@ from luxloop.loop.studies.training.evaluate import (
 from luxloop.loop.studies.training.fit import BATCH, fit
 from luxloop.loop.studies.training.scenes import CLASSES, Row, read
 from luxloop.perception.detection.detector import NetworkParams
-from luxloop.perception.detection.network import NetworkDetector, save
+from luxloop.perception.detection.network import Network, NetworkDetector, save
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import atomic_write, output_folder, whole
 
@@ -184,13 +184,18 @@ def store(detector: NetworkDetector, report: Mapping[str, Any], out: Path) -> No
 
 
 def _learnt(seen: Sequence[Row], wider: Sequence[Row], epochs: int, seed: int) -> tuple[NetworkDetector, dict[str, Any]]:
-    """Trained network as stored, and facts of its training; calibrated on a part of the last scenes."""
+    """Trained network as stored, and facts of its training; calibrated on the last scenes of both kinds.
+
+    The mean of the weights before and after the wide scenes keeps what both know (Wortsman et al., "Robust fine-tuning of zero-shot
+    models", 2022).
+    """
     (learnt, asked), (also, wide_asked) = _parted(seen), _parted(wider)
     steps, more = -(-epochs * len(learnt) // BATCH), -(-WIDE_EPOCHS * len(also) // BATCH)
     with tables.progress("training", steps + more) as advance:
         network = fit(learnt, steps, seed, lambda _: advance())
         if also:
-            network, asked = fit(also, more, seed, lambda _: advance(), network), wide_asked
+            network = mean_of(network, fit(also, more, seed, lambda _: advance(), network))
+            asked = (*asked, *wide_asked)
     detector = NetworkDetector(network, scenes.CLASSES, LEAST_SCORE, NetworkParams().overlap)
     slope, shift = calibrate(detector, asked)
     network.half().float()
@@ -199,6 +204,14 @@ def _learnt(seen: Sequence[Row], wider: Sequence[Row], epochs: int, seed: int) -
         **({"wide": {"scenes": len(also), "epochs": WIDE_EPOCHS, "examples": more * BATCH * 2}} if also else {}),
         **{"calibrated_on": len(asked), "slope": round(slope, 3), "shift": round(shift, 3)},
     }
+
+
+def mean_of(one: Network, other: Network) -> Network:
+    """A network with the mean weights of two."""
+    weights = other.state_dict()
+    network = Network(len(scenes.CLASSES))
+    network.load_state_dict({k: (each + weights[k]) / 2 if each.is_floating_point() else each for k, each in one.state_dict().items()})
+    return network.eval()
 
 
 def _parted(rows: Sequence[Row]) -> tuple[Sequence[Row], Sequence[Row]]:
