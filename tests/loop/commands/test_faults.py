@@ -222,7 +222,7 @@ def test_training_that_is_stopped_leaves_nothing_half_done(folder):
     out, rows = folder / "out", folder / "out" / "scenes.jsonl"
 
     def train(epochs: str) -> Command:
-        options = ("--out", "out", "--scenes", "2", "--held-out", "1", "--jobs", "1", "--epochs", epochs)
+        options = ("--out", "out", "--scenes", "2", "--held-out", "1", "--jobs", "1", "--wide", "0", "--epochs", epochs)
         return Command(folder, "train-detector", *options)
 
     drawing = train("1000000")

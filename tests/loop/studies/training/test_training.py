@@ -205,7 +205,7 @@ def test_a_network_that_has_learnt_nothing_is_refused(lux, tmp_path):
     jobs = [json.loads(line) for line in (out / "scenes.jsonl").read_text("utf-8").splitlines()]
     jobs[0]["result"]["objects"] = []
     (out / "scenes.jsonl").write_text(json.dumps(jobs[0]) + "\n", "utf-8")
-    line = ["train-detector", "--out", str(out), "--scenes", "1", "--held-out", "1", "--epochs", "1", "--jobs", "1"]
+    line = ["train-detector", "--out", str(out), "--scenes", "1", "--held-out", "1", "--epochs", "1", "--jobs", "1", "--wide", "0"]
     code, _, error = lux(*line)
     assert code == 2 and "scores do not separate correct boxes from wrong ones; give more --scenes or --epochs" in error
     assert sorted(path.name for path in out.iterdir()) == ["scenes", "scenes.jsonl"]
