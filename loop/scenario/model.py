@@ -26,6 +26,7 @@ from luxloop.loop.scenario.probes import ProbeParams
 from luxloop.loop.scenario.shipped import find
 from luxloop.perception.camera import CameraParams
 from luxloop.perception.detection.detector import DetectorParams
+from luxloop.perception.pixel_gains import PixelGainParams
 from luxloop.perception.sensors import SensorParams
 from luxloop.perception.trackers import AnyTracker
 from luxloop.perception.tracking import TrackerParams
@@ -189,6 +190,9 @@ class Scenario(Params):
     conditions: Annotated[tuple[RoadConditionParams, ...], ascending("time_s")] = Field(
         (RoadConditionParams(),), min_length=1, description="rain and street lighting, in ascending time"
     )
+    pixel_gains: PixelGainParams | None = Field(
+        None, description="estimates while driving what each pixel still gives, and lets others take over; left out: not at all"
+    )
     lighting: LightingParams = Field(LightingParams(), description="base beam, and limits of all lighting functions")
     functions: Functions = Field({}, description="lighting functions, by name")
     detector: DetectorParams | None = Field(
@@ -215,7 +219,7 @@ class Scenario(Params):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         for sentence in chain.from_iterable(
-            topic(self) for topic in (_lamps, _modules, _exposures, _projections, _observers, _detection, _probes, _names)
+            topic(self) for topic in (_lamps, _modules, _exposures, _gains, _projections, _observers, _detection, _probes, _names)
         ):
             raise ValueError(sentence)
         return self
@@ -276,8 +280,8 @@ class Scenario(Params):
 
     @property
     def frame_shares(self) -> tuple[float, ...]:
-        """Shares of a control step, one a frame: with symbols under control and without them, or the whole."""
-        return (1 - self.off_share, self.off_share) if self.symbols else (1.0,)
+        """Shares of a control step, one a frame: with symbols under control and without them, halves for pixel gains, or the whole."""
+        return (1 - self.off_share, self.off_share) if self.symbols or self.pixel_gains else (1.0,)
 
     @property
     def drawings(self) -> tuple[int, ...]:
@@ -336,7 +340,7 @@ def _exposures(scenario: Scenario) -> Iterator[str]:
             f"camera.exposure_s: the lamps draw anew at {light_hz:g} Hz, during an exposure of {exposure_s:g} s; "
             f"give at most {1 / light_hz:.4g} s, or lower headlight.rate_hz"
         )
-    if scenario.symbols:
+    if scenario.symbols or scenario.pixel_gains:
         share, rate_hz = min(scenario.frame_shares), scenario.rate_hz
         if exposure_s > share / rate_hz:
             part, nearer = ("half", "") if scenario.off_share == 0.5 else (f"{share:.3g} of", ", or set off_share nearer to 0.5")
@@ -351,6 +355,15 @@ def _exposures(scenario: Scenario) -> Iterator[str]:
         for k, each in enumerate(getattr(scenario.disturbances, key)):
             if each.frames == "off":
                 yield f"disturbances.{key}[{k}].frames: without a held symbol, steps have no off frame; leave it out"
+
+
+def _gains(scenario: Scenario) -> Iterator[str]:
+    """Contradictions between pixel gains and what else alternates within a step."""
+    if scenario.pixel_gains is not None:
+        for name in scenario.symbols:
+            yield f"functions.{name}.controller: holds a symbol by its on and off frames, but those of pixel_gains alternate otherwise; leave one of both out"
+        if scenario.headlight.rate_hz is not None:
+            yield "headlight.rate_hz: the lamps draw anew within a frame, but pixel_gains needs one light a frame; leave one of both out"
 
 
 def _projections(scenario: Scenario) -> Iterator[str]:

@@ -20,6 +20,7 @@ from luxloop.loop.simulation.controlled import build_symbols, place
 from luxloop.loop.simulation.detection import DetectionPipeline
 from luxloop.loop.simulation.lamps import MountedModule, drawing_modules, lamp_modules, mount, shining_module
 from luxloop.loop.simulation.part_cache import PartCache
+from luxloop.loop.simulation.pixel_gain_loop import PixelGainLoop
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Plant
 from luxloop.loop.simulation.simulated import digitised_plant, simulated_plant
 from luxloop.loop.simulation.truth import LampModule, true_camera
@@ -201,6 +202,8 @@ def build(scenario: Scenario, device: torch.device, cache: PartCache) -> dict[st
     if detector is not None:
         parts = detector, scenario.tracker, scenario.camera
         pipeline = cache("pipeline", lambda *_: DetectionPipeline.prepare(detector, scenario.tracker, view, device), *parts)
+    asked = scenario.pixel_gains
+    gains = None if asked is None else PixelGainLoop(asked, modules, scenario.camera, view, scenario.seed)
     return {
         "planner": planner,
         "modules": modules,
@@ -208,6 +211,7 @@ def build(scenario: Scenario, device: torch.device, cache: PartCache) -> dict[st
         "view": view,
         "plant": plant,
         "pipeline": pipeline,
+        "gain_loop": gains,
         "controlled": build_symbols(scenario, modules, planner, truth, cache),
     }
 

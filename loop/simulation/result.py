@@ -19,6 +19,7 @@ from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.scenario.model import only
 from luxloop.loop.simulation.controlled import SymbolState
 from luxloop.loop.simulation.lamps import LampPower, Lights
+from luxloop.loop.simulation.pixel_gain_loop import GainState
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, ExposurePair, Frame, Images
 from luxloop.perception.detection.detector import Detections
 from luxloop.perception.egomotion import Ego, Samples
@@ -109,7 +110,7 @@ class Control:
     """Symbol control of a step. symbols: controller states. measurements: of symbols shown. awaiting: exposure pairs awaiting frames.
 
     unpaired: frames awaiting their on or off partner. frames: the newest on and off frame, None without frames. taken_s: time of the on
-    frame, NaN without frames.
+    frame, NaN without frames. gains: of the lamps' pixels.
     """
 
     symbols: Mapping[str, SymbolState]
@@ -118,6 +119,7 @@ class Control:
     unpaired: tuple[Frame, ...]
     frames: Images | None
     taken_s: float
+    gains: GainState | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +128,8 @@ class SimulationState:
 
     plant: state of the plant. arrivals: the newest arrivals. samples: recent ones of the vehicle's sensors. symbols: states of the
     closed-loop symbols. views: estimated camera views in the ground frame of exposures awaiting frames, by number. awaiting: exposure
-    pairs awaiting frames. unpaired: frames awaiting their on or off partner. commanded: last module commands by function.
+    pairs awaiting frames. unpaired: frames awaiting their on or off partner. commanded: last module commands by function. gains: of the
+    lamps' pixels, None unless they are estimated.
     """
 
     step: int
@@ -140,6 +143,7 @@ class SimulationState:
     awaiting: tuple[ExposurePair, ...] = ()
     unpaired: tuple[Frame, ...] = ()
     commanded: Mapping[str, FunctionCommands] = field(default_factory=dict)
+    gains: GainState | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,6 +27,7 @@ from luxloop.loop.simulation.detection import DetectionPipeline
 from luxloop.loop.simulation.evaluator import Evaluation, Evaluator
 from luxloop.loop.simulation.lamps import LampDriver, Lights, ShiningModule, attitude, in_reach, mean_powers
 from luxloop.loop.simulation.part_cache import PartCache
+from luxloop.loop.simulation.pixel_gain_loop import PixelGainLoop
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, ExposurePair, Objects, Plant, close_plant, pair_frames
 from luxloop.loop.simulation.result import (
     Clock,
@@ -60,7 +61,8 @@ class Simulation:
     """The runnable simulation of a scenario on one device.
 
     Lighting functions use the ground frame, which moves with the car. view: the calibrated camera view of a level car body. pipeline:
-    detector and tracker, None without a detector. controlled: closed-loop symbols, by name. cache: reusable parts.
+    detector and tracker, None without a detector. controlled: closed-loop symbols, by name. gain_loop: of the lamps' pixels, None without
+    `pixel_gains`. cache: reusable parts.
     """
 
     scenario: Scenario
@@ -72,6 +74,7 @@ class Simulation:
     plant: Plant
     pipeline: DetectionPipeline | None = None
     controlled: Mapping[str, ControlledSymbol] = field(default_factory=dict)
+    gain_loop: PixelGainLoop | None = None
     cache: PartCache = field(default_factory=PartCache)
 
     @classmethod
@@ -188,7 +191,8 @@ class Simulation:
         (plant, arrivals), tracks = self.plant.start(), None if self.pipeline is None else self.pipeline.tracker.start()
         arrivals = self.sensor_arrivals(step / self.scenario.rate_hz) if step else arrivals
         symbols = {name: each.start() for name, each in self.controlled.items()}
-        return SimulationState(step, tracks, self.planner.start(), plant, arrivals, recent((), arrivals.samples), symbols)
+        gains = None if self.gain_loop is None else self.gain_loop.start()
+        return SimulationState(step, tracks, self.planner.start(), plant, arrivals, recent((), arrivals.samples), symbols, gains=gains)
 
     def sensor_arrivals(self, time_s: float) -> Arrivals:
         """The newest sensor samples for which light of a time is drawn. Raises LuxloopError unless the plant is the simulated world."""
@@ -209,7 +213,7 @@ class Simulation:
         sense = self._sense(state)
         planning = self._plan(state, sense)
         clock.lap("plan")
-        drives = self._drive(planning, sense)
+        drives = self._drive(state, planning, sense)
         clock.lap("light")
         reception = self._expose(state, planning, drives, clock)
         clock.lap("plant")
@@ -246,16 +250,16 @@ class Simulation:
             plans.append(self.planner.compose(sense.now, state.functions, without(drawn, measured)))
         return StepPlan(state.functions, state.symbols, projections, drawn, measured, tuple(plans))
 
-    def _drive(self, planning: StepPlan, sense: Sense) -> tuple[Drive, ...]:
+    def _drive(self, state: SimulationState, planning: StepPlan, sense: Sense) -> tuple[Drive, ...]:
         """Lamp drive for the on frame, and for the off frame."""
         (first, *others), now = planning.plans, sense.now
         shown = self.lamps.drive(first, now)
         lights, powers = self.lamps.drive(others[0], now, (first, shown[0])) if others else shown
         left = {name: each for name, each in planning.projections.items() if name not in planning.measured}
-        return (
-            Drive(self._raw(shown[0], planning.projections), planning.projections, now.commands, shown[1]),
-            Drive(lights, left, now.commands, powers),
-        )
+        on = self._raw(shown[0], planning.projections)
+        if self.gain_loop is not None and state.gains is not None:
+            on, lights = self.gain_loop.lights(state.gains, state.step, on)
+        return Drive(on, planning.projections, now.commands, shown[1]), Drive(lights, left, now.commands, powers)
 
     def _redraw(self, state: SimulationState, without_symbols: Collection[str]) -> Drive:
         """Lamp drive by the newest samples."""
@@ -331,12 +335,18 @@ class Simulation:
         alone = len(planning.projections) == 1 and len(self.planner.functions) == 1 and self.scenario.lighting.power_limit is None
         framed = [each for each in reception.exposures if each.frame]
         shown = ExposurePair(framed[0], framed[-1], sense.ego, alone)
-        pairs, awaiting, unpaired = pair_frames((*state.awaiting, shown), reception.unpaired) if self.controlled else ([], (), ())
+        pairs, awaiting, unpaired = (
+            pair_frames((*state.awaiting, shown), reception.unpaired) if self.controlled or self.gain_loop else ([], (), ())
+        )
         newer = self.ego(reception.samples, reception.arrivals[-1].time_s)
+        gains = state.gains
         symbols = {name: replace(each, turn=state.step) if name in planning.measured else each for name, each in state.symbols.items()}
         seen = dict[str, Measurement]()
         for pair in pairs:
             latency = state.step - pair.on.number // len(self.scenario.shares)
+            if self.gain_loop is not None and gains is not None:
+                egos = [self.ego(reception.samples, each.start_s) for each in (pair.on, pair.off)]
+                gains = self.gain_loop.step(gains, pair, egos)
             for name in (name for name in symbols if name in pair.on.projections):
                 symbols[name], seen[name] = self.controlled[name].step(symbols[name], name, pair, newer, latency)
         measurements = {
@@ -344,7 +354,7 @@ class Simulation:
             for name, projection in planning.projections.items()
         }
         frames, taken_s = (pairs[-1].images, pairs[-1].taken_s) if pairs else (None, math.nan)
-        return Control(symbols, measurements, awaiting, unpaired, frames, taken_s)
+        return Control(symbols, measurements, awaiting, unpaired, frames, taken_s, gains)
 
     def _following(self, result: StepResult) -> SimulationState:
         """The state before the next step."""
@@ -361,6 +371,7 @@ class Simulation:
             awaiting=control.awaiting,
             unpaired=control.unpaired,
             commanded=result.sense.commands,
+            gains=control.gains,
         )
 
     def _raw(self, lights: Lights, projections: Mapping[str, ProjectionCommand]) -> Lights:
@@ -405,7 +416,8 @@ class Simulation:
     @property
     def remembers(self) -> bool:
         """Whether a step depends on earlier steps."""
-        return self.pipeline is not None or self.planner.learns or bool(self.controlled) or bool(self.planner.commanding)
+        loops = self.controlled or self.planner.commanding or self.gain_loop
+        return self.pipeline is not None or self.planner.learns or bool(loops)
 
     def base(self, beam: str) -> str:
         """The light below all functions in words. beam: name of the base beam."""

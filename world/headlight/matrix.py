@@ -1,9 +1,11 @@
 """The light of one matrix module: a sparse headlight matrix over a light texture (T 2.4, 5.2)."""
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 import torch
 from torch import Tensor
 
@@ -45,6 +47,21 @@ class Headlight(TexelGrid):
         """The headlight with each pixel's light scaled by a factor `[n_p]`."""
         of_entry = left.to(self.matrix.values).index_select(0, self.matrix.indices)
         return replace(self, matrix=self.matrix.with_values(self.matrix.values * of_entry))
+
+    def coarsen(self, per_pixel: float) -> "Headlight":
+        """The headlight on a coarser grid, of means over blocks of texels: at least per_pixel texels a pixel in each direction if it has
+        as many, without chroma.
+        """
+        step = [max(int(n / (per_pixel * of)), 1) for n, of in ((self.rows, self.pixel_rows), (self.cols, self.pixel_cols))]
+        if step == [1, 1]:
+            return replace(self, chroma=None)
+        rows, cols = -(-self.rows // step[0]), -(-self.cols // step[1])
+        block = (np.arange(self.rows) // step[0])[:, None] * cols + np.arange(self.cols) // step[1]
+        means = sp.csr_array((np.full(self.n_texels, 1 / math.prod(step)), (block.ravel(), np.arange(self.n_texels))))
+        bottom = self.top - rows * step[0] * (self.top - self.bottom) / self.rows
+        right = self.left - cols * step[1] * (self.left - self.right) / self.cols
+        matrix = Csr.from_scipy(means @ self.matrix.to_scipy(), self.matrix.values.dtype).to(self.matrix.values.device)
+        return replace(self, rows=rows, cols=cols, bottom=bottom, right=right, matrix=matrix, chroma=None)
 
     def light_texture(self, utilisation: Tensor, band: slice | None = None) -> Tensor:
         """Luminous intensity `[..., rows, cols]` in cd of a utilisation `[..., n_p]` in 0..1: `i = A u` (T eq. 2.4.1, 3.5.1).

@@ -1,0 +1,215 @@
+"""Gains of a lamp's pixels, estimated from what the camera sees of the own light on the road.
+
+In a pair of frames each pixel is brighter in one and darker in the other, by a code of its own. The ratio of both frames does not depend
+on the road's albedo and slope, and codes of neighbours average out, so that pixels are told apart that lie closer than their light is wide.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import cv2
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+from torch.nn.functional import unfold
+
+from luxloop.perception.camera import CameraParams, luminance_of, noise_std
+from luxloop.world.frames import View, inverse, transform
+from luxloop.world.headlight import Headlight
+from luxloop.world.light.illumination import lux_per_cd
+from luxloop.world.params import Params
+from luxloop.world.rendering.gbuffer import flat_road
+from luxloop.world.spmv import Csr, multiply
+from luxloop.world.texels import resample
+
+STREAM: Final = 6  # random streams of a step, separate from those of frames and sensors
+NEAREST_M, FARTHEST_M = 5.0, 60.0  # of road that counts
+LEAST_LIGHT: Final = 0.2  # of the expected luminance, below which something else than the road is seen
+ROAD: Final = 0.05  # standard deviation of the ratio of both frames by the road between them
+STRIPE_DEG: Final = (0.25, 8.0)  # height and width of the surroundings whose mean is taken off: of slopes that lie across the road
+OUTLIER: Final = 3.0  # standard deviations at which a pixel counts half
+NEIGHBOURS: Final = (5, 25)  # rows and columns of pixels whose median response is that of a good one
+SEEN: Final = 0.1  # largest standard deviation of a gain that counts as known
+WORN: Final = 0.8  # gain below which a pixel has worn
+SURE: Final = 3.5  # standard deviations
+ROUNDS: Final = 3
+TEXELS: Final = 1.5  # a pixel in each direction, enough for blurred pixels
+
+
+class PixelGainParams(Params):
+    """Estimation of what each pixel still gives, and compensation by others."""
+
+    swing: float = Field(
+        0.2, gt=0, le=0.5, description="share of its light by which a pixel is brighter in one frame of a pair and darker in the other"
+    )
+    update_s: float = Field(10.0, gt=0, le=3600, description="time from one compensation for the estimated gains to the next")
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """A frame and its light. image: digital numbers `[height, width]`. view: of the camera, T_ground_headlights: poses `[4, 4]` of the
+    modules, both in the ground frame of that time. lights: utilisations `[n_p]`, one a module.
+    """
+
+    image: Tensor
+    view: View
+    T_ground_headlights: Sequence[Tensor]
+    lights: Sequence[Tensor]
+
+
+@dataclass(frozen=True, eq=False)
+class PixelGains:
+    """Gains of a module's pixels, all `[n_p]`: light relative to that of a new pixel.
+
+    response: sum of measured gains times their information. information: 1 / variance if the noise were that of the camera alone.
+    gain: 1 for pixels that have not worn or are not known. std: standard deviation, infinite where the road does not show a pixel.
+    """
+
+    response: Tensor
+    information: Tensor
+    gain: Tensor
+    std: Tensor
+
+    @classmethod
+    def unknown(cls, headlight: Headlight) -> "PixelGains":
+        """Nothing is known, all pixels count as new."""
+        nothing = torch.zeros(headlight.n_pixels).to(headlight.matrix.values)
+        return cls(nothing, nothing, nothing + 1, nothing + torch.inf)
+
+    @property
+    def seen(self) -> Tensor:
+        """Pixels with a known gain, `[n_p]` bool."""
+        return self.std <= SEEN
+
+    @property
+    def worn(self) -> Tensor:
+        """Pixels that have lost light for sure, `[n_p]` bool."""
+        return self.gain < 1
+
+
+def code(seed: int, step: int, module: int, like: Tensor) -> Tensor:
+    """1 or -1 at random for each pixel `[n_p]`: whether it is brighter in the first or the second frame of a step."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(step, STREAM, module)))
+    bits = np.unpackbits(np.frombuffer(rng.bytes(-(-len(like) // 8)), np.uint8))[: len(like)]
+    return torch.from_numpy(bits).to(like) * 2 - 1
+
+
+def swing(u: Tensor, codes: Tensor, share: float) -> tuple[Tensor, Tensor]:
+    """Utilisations `[n_p]` of both frames of a pair, with the mean u."""
+    change = codes * torch.minimum(share * u, 1 - u)
+    return u + change, u - change
+
+
+class GainEstimator:
+    """Estimates the gains of modules, which share a camera."""
+
+    def __init__(self, headlights: Sequence[Headlight], camera: CameraParams) -> None:
+        self.headlights, self.camera = tuple(each.coarsen(TEXELS) for each in headlights), camera
+        self._squares: list[Csr] = [each.matrix.with_values(each.matrix.values.square()).transpose for each in self.headlights]
+
+    def look(self, gains: Sequence[PixelGains], first: Sight, second: Sight, T_first_second: Tensor) -> tuple[PixelGains, ...]:
+        """Gains with what one pair of frames tells of them. T_first_second: `[4, 4]`, second ground frame in the first."""
+        means, changes = zip(*(((a + b) / 2, (a - b) / 2) for a, b in zip(first.lights, second.lights, strict=True)), strict=True)
+        lit = zip(self.headlights, means, changes, strict=True)
+        textures = [tuple(light.light_texture(u).flatten() for u in (mean, change)) for light, mean, change in lit]
+        road = flat_road(first.view, 1.0)
+        ahead = road.position[0].flatten()
+        pixel = torch.nonzero((ahead > NEAREST_M) & (ahead < FARTHEST_M))[:, 0]
+        place, normal = road.position.flatten(1)[:, pixel], road.normal.flatten(1)[:, pixel]
+        then = transform(inverse(T_first_second).to(place), place)  # the same points in the second ground frame
+        reach = [self._reach(place, normal, first), self._reach(then, normal, second)]
+        mean = [sum(factor * own[0][texel] for (texel, factor), own in zip(each, textures, strict=True)) for each in reach]
+        change = [sum(factor * own[1][texel] for (texel, factor), own in zip(each, textures, strict=True)) for each in reach]
+        shown = [
+            luminance_of(first.image, self.camera).flatten()[pixel],
+            self._where(luminance_of(second.image, self.camera), then, second.view),
+        ]
+        relative = [seen / expected.clamp(min=1e-9) for seen, expected in zip(shown, mean, strict=True)]
+        both = (relative[0] + relative[1]) / 2
+        reached = (mean[0] > 0) & (mean[1] > 0)
+        if not bool(reached.any()):
+            return tuple(gains)
+        valid = reached & (both > LEAST_LIGHT * both[reached].median()) & (shown[1] > 0)
+        ratio = (relative[0] - relative[1]) / (2 * both.clamp(min=1e-9))
+        expected = (change[0] / mean[0].clamp(min=1e-9) + change[1] / mean[1].clamp(min=1e-9)) / 2
+        residual = self._without_stripes(torch.where(valid, ratio - expected, 0.0), valid, pixel, first.view)
+        noise = noise_std(shown[0], self.camera) / shown[0].clamp(min=1e-9)
+        variance = ROAD**2 + noise.square() / 2
+        spread = (residual.square() / variance)[valid].median() / 0.455  # of a standard normal number's square
+        far = residual.square() / (OUTLIER**2 * spread * variance)
+        weight = torch.where(valid, 1 / (variance * spread * (1 + far)), 0.0)
+        return tuple(
+            self._with(k, each, changes[k], texel, factor / mean[0].clamp(min=1e-9), weight, residual)
+            for k, (each, (texel, factor)) in enumerate(zip(gains, reach[0], strict=True))
+        )
+
+    def _with(
+        self, k: int, gains: PixelGains, change: Tensor, texel: Tensor, share: Tensor, weight: Tensor, residual: Tensor
+    ) -> PixelGains:
+        light = self.headlights[k]
+        empty = share.new_zeros(light.n_texels)
+        correlation = change * multiply(light.matrix.transpose, empty.index_add(0, texel, share * weight * residual))
+        information = change.square() * multiply(self._squares[k], empty.index_add(0, texel, share.square() * weight))
+        response = gains.response + correlation + information
+        return replace(gains, response=response, information=gains.information + information)
+
+    def _reach(self, place: Tensor, normal: Tensor, sight: Sight) -> list[tuple[Tensor, Tensor]]:
+        """For each module the nearest texel `[N]` of points `[3, N]` of the road, and `cos / d^2` `[N]`, 0 out of its reach."""
+        found = []
+        for light, T in zip(self.headlights, sight.T_ground_headlights, strict=True):
+            x, y, z = transform(inverse(T).to(place), place)
+            row, column = (each.nan_to_num(-1.0, -1.0, -1.0).floor() for each in light.texel_of(y / x, z / x))
+            inside = (x > 0) & (row >= 0) & (row < light.rows) & (column >= 0) & (column < light.cols)
+            texel = torch.where(inside, row * light.cols + column, 0.0).long()
+            found.append((texel, inside * lux_per_cd(T[:3, 3:].to(place) - place, normal)))
+        return found
+
+    @staticmethod
+    def _where(image: Tensor, place: Tensor, view: View) -> Tensor:
+        """An image `[height, width]` at points `[3, N]`, 0 beyond its border."""
+        (u, v), depth = view.project(place.double())
+        u, v = (torch.where(depth > 0, 2 * each / n - 1, 2.0).to(image) for each, n in ((u, view.width), (v, view.height)))
+        return resample(image[None, None], u[None, None], v[None, None])[0, 0, 0]
+
+    @staticmethod
+    def _without_stripes(residual: Tensor, valid: Tensor, pixel: Tensor, view: View) -> Tensor:
+        """Residuals `[N]` less the mean of their valid surroundings. pixel: `[N]`, flat image index."""
+        high, wide = (2 * round(np.radians(each) * view.fx / 2) + 1 for each in STRIPE_DEG)
+        image = residual.new_zeros(view.height * view.width, 2).index_copy(0, pixel, torch.stack([residual, valid.to(residual)], -1))
+        shape = view.height, view.width, 2
+        mean = cv2.blur(image.view(shape).cpu().numpy(), (wide, high), borderType=cv2.BORDER_CONSTANT)
+        total, count = torch.from_numpy(mean).to(residual).flatten(0, 1)[pixel].unbind(-1)
+        return torch.where(valid, residual - total / count.clamp(min=1e-9), 0.0)
+
+
+def decide(headlight: Headlight, gains: PixelGains, u: Tensor) -> PixelGains:
+    """Gains and their standard deviations from all responses so far. u: `[n_p]`, utilisation that was shown.
+
+    A response is relative to the light around it, of which worn pixels lack their part; most pixels nearby are good.
+    """
+    known = gains.information > 0
+    raw = torch.where(known, gains.response / gains.information.where(known, 1.0), 1.0)
+    nominal = gains.information.clamp(min=1e-12).rsqrt()
+    new, transposed = headlight.light_texture(u).flatten(), headlight.matrix.transpose
+    of_pixel = multiply(transposed, torch.ones_like(new)).clamp(min=1e-9)
+    usable, gain, std = known & (u > 0), torch.ones_like(raw), nominal
+    for _ in range(ROUNDS):
+        left = headlight.light_texture(gain * u).flatten() / new.clamp(min=1e-9)
+        around = multiply(transposed, left.where(new > 0, 1.0)) / of_pixel
+        good = raw * around
+        relative = good / _local_median(good.where(usable, torch.nan), headlight).clamp(min=1e-3)
+        spread = 1.4826 * _local_median(((relative - 1).abs() / nominal).where(usable, torch.nan), headlight)
+        std = torch.where(usable, nominal * spread, torch.inf)
+        worn = (std <= SEEN) & (relative < WORN) & (1 - relative > SURE * std)
+        gain = torch.where(worn, relative.clamp(0, 1), 1.0)
+    return replace(gains, gain=gain, std=std)
+
+
+def _local_median(values: Tensor, headlight: Headlight) -> Tensor:
+    """Median `[n_p]` of the pixels around each that are not NaN, 1 without any."""
+    half_rows, half_cols = (each // 2 for each in NEIGHBOURS)
+    grid = values.view(1, 1, headlight.pixel_rows, headlight.pixel_cols)
+    padded = torch.nn.functional.pad(grid, (half_cols, half_cols, half_rows, half_rows), value=torch.nan)
+    return unfold(padded, NEIGHBOURS)[0].nanmedian(0).values.nan_to_num(1.0)
