@@ -20,7 +20,7 @@ from luxloop.world.headlight import Headlight
 from luxloop.world.light.illumination import illuminance, lit_surface
 from luxloop.world.rendering.gbuffer import GBuffer, flat_road
 
-RATE_HZ, SPEED_M_S, SWING = 30.0, 14.0, 0.2
+RATE_HZ, SPEED_M_S = 30.0, 14.0
 DEAD, AGED, AGED_TO = 0.02, 0.05, 0.5
 IN_SIGHT = 0.5  # share of a pixel's light that lies on the road in sight
 LEAST_LX = 1.0  # of the new low beam, on road that is to be even
@@ -40,7 +40,7 @@ def scenario(seed: int, seconds: float, roughness: str) -> dict[str, Any]:
         "lighting": {"base": {"beam": "low"}},
         "camera": {"width_px": 640, "height_px": 360, "pitch_deg": 4.0},
         "vehicle": {"course": [{"speed_m_s": SPEED_M_S}]},
-        "pixel_gains": {"swing": SWING, "update_s": seconds / 6},
+        "pixel_gains": {"update_s": seconds / 6},
         "disturbances": {"wear": {"dead": DEAD, "aged": AGED, "aged_factor": AGED_TO, "seed": seed}},
     }
 
@@ -59,7 +59,7 @@ def drive(seed: int, seconds: float, roughness: str) -> dict[str, Any]:
         left = _left(module.headlight, true.headlight)
         seen = in_sight(simulation.view, module.headlight, module.T_world_module) & (module.beam("low") >= 0.05)
         worn = seen & (left < 1)
-        more = int(seen.sum()), int((seen & gains.seen).sum()), int(worn.sum()), int((worn & gains.worn).sum())
+        more = int(seen.sum()), int((seen & gains.known).sum()), int(worn.sum()), int((worn & gains.worn).sum())
         more += (int((seen & (left == 1) & gains.worn).sum()),)
         counts = {key: count + each for (key, count), each in zip(counts.items(), more, strict=True)}
         u = module.beam("low")

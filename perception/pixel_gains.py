@@ -4,6 +4,7 @@ In a pair of frames each pixel is brighter in one and darker in the other, by a 
 on the road's albedo and slope, and codes of neighbours average out, so that pixels are told apart that lie closer than their light is wide.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -24,25 +25,30 @@ from luxloop.world.rendering.gbuffer import flat_road
 from luxloop.world.spmv import Csr, multiply
 from luxloop.world.texels import resample
 
-STREAM: Final = 6  # random streams of a step, separate from those of frames and sensors
+WIDE: Final = 4  # rows and columns of pixels after which codes repeat, farther than a pixel's light
+PERIOD: Final = 64  # steps after which they repeat
 NEAREST_M, FARTHEST_M = 5.0, 60.0  # of road that counts
-LEAST_LIGHT: Final = 0.2  # of the expected luminance, below which something else than the road is seen
+LEAST_LIGHT: Final = 0.1  # of the expected luminance, below which something else than the road is seen
 ROAD: Final = 0.05  # standard deviation of the ratio of both frames by the road between them
-STRIPE_DEG: Final = (0.25, 8.0)  # height and width of the surroundings whose mean is taken off: of slopes that lie across the road
-OUTLIER: Final = 3.0  # standard deviations at which a pixel counts half
+STRIPE: Final = (
+    0.25,
+    12.0,
+)  # height in deg and width in pixels' lights of the surroundings whose mean is taken off, of slopes
+OUTLIER: Final = 5.0  # standard deviations at which a pixel counts half
 NEIGHBOURS: Final = (5, 25)  # rows and columns of pixels whose median response is that of a good one
-SEEN: Final = 0.1  # largest standard deviation of a gain that counts as known
-WORN: Final = 0.8  # gain below which a pixel has worn
+LEAST: Final = 10  # of these that must be seen
+KNOWN: Final = 0.15  # largest standard deviation of a gain that counts as known
+WORN: Final = 0.7  # gain below which a pixel has worn
 SURE: Final = 3.5  # standard deviations
 ROUNDS: Final = 3
-TEXELS: Final = 1.5  # a pixel in each direction, enough for blurred pixels
+TEXELS: Final = 6  # across the light of a pixel
 
 
 class PixelGainParams(Params):
     """Estimation of what each pixel still gives, and compensation by others."""
 
     swing: float = Field(
-        0.2, gt=0, le=0.5, description="share of its light by which a pixel is brighter in one frame of a pair and darker in the other"
+        0.3, gt=0, le=0.5, description="share of its light by which a pixel is brighter in one frame of a pair and darker in the other"
     )
     update_s: float = Field(10.0, gt=0, le=3600, description="time from one compensation for the estimated gains to the next")
 
@@ -79,9 +85,9 @@ class PixelGains:
         return cls(nothing, nothing, nothing + 1, nothing + torch.inf)
 
     @property
-    def seen(self) -> Tensor:
+    def known(self) -> Tensor:
         """Pixels with a known gain, `[n_p]` bool."""
-        return self.std <= SEEN
+        return self.std <= KNOWN
 
     @property
     def worn(self) -> Tensor:
@@ -89,11 +95,16 @@ class PixelGains:
         return self.gain < 1
 
 
-def code(seed: int, step: int, module: int, like: Tensor) -> Tensor:
-    """1 or -1 at random for each pixel `[n_p]`: whether it is brighter in the first or the second frame of a step."""
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(step, STREAM, module)))
-    bits = np.unpackbits(np.frombuffer(rng.bytes(-(-len(like) // 8)), np.uint8))[: len(like)]
-    return torch.from_numpy(bits).to(like) * 2 - 1
+def code(headlight: Headlight, module: int, step: int) -> Tensor:
+    """1 or -1 for each pixel `[n_p]`: whether it is brighter in the first or the second frame of a step.
+
+    Walsh functions over PERIOD steps: within it all pixels of a block of WIDE x WIDE are orthogonal, and those of three modules.
+    """
+    row, column = np.divmod(np.arange(headlight.n_pixels), headlight.pixel_cols)
+    word = 1 + WIDE**2 * (module % 3) + row % WIDE * WIDE + column % WIDE & step % PERIOD
+    for half in (4, 2, 1):
+        word ^= word >> half
+    return 1 - 2 * torch.from_numpy(word & 1).to(headlight.matrix.values)
 
 
 def swing(u: Tensor, codes: Tensor, share: float) -> tuple[Tensor, Tensor]:
@@ -107,6 +118,8 @@ class GainEstimator:
 
     def __init__(self, headlights: Sequence[Headlight], camera: CameraParams) -> None:
         self.headlights, self.camera = tuple(each.coarsen(TEXELS) for each in headlights), camera
+        widths = [each.pixel_extent[1] * (each.left - each.right) / each.cols for each in self.headlights]
+        self._stripe = math.radians(STRIPE[0]), STRIPE[1] * max(widths)
         self._squares: list[Csr] = [each.matrix.with_values(each.matrix.values.square()).transpose for each in self.headlights]
 
     def look(self, gains: Sequence[PixelGains], first: Sight, second: Sight, T_first_second: Tensor) -> tuple[PixelGains, ...]:
@@ -173,10 +186,9 @@ class GainEstimator:
         u, v = (torch.where(depth > 0, 2 * each / n - 1, 2.0).to(image) for each, n in ((u, view.width), (v, view.height)))
         return resample(image[None, None], u[None, None], v[None, None])[0, 0, 0]
 
-    @staticmethod
-    def _without_stripes(residual: Tensor, valid: Tensor, pixel: Tensor, view: View) -> Tensor:
+    def _without_stripes(self, residual: Tensor, valid: Tensor, pixel: Tensor, view: View) -> Tensor:
         """Residuals `[N]` less the mean of their valid surroundings. pixel: `[N]`, flat image index."""
-        high, wide = (2 * round(np.radians(each) * view.fx / 2) + 1 for each in STRIPE_DEG)
+        high, wide = (2 * round(min(each * view.fx, view.width) / 2) + 1 for each in self._stripe)
         image = residual.new_zeros(view.height * view.width, 2).index_copy(0, pixel, torch.stack([residual, valid.to(residual)], -1))
         shape = view.height, view.width, 2
         mean = cv2.blur(image.view(shape).cpu().numpy(), (wide, high), borderType=cv2.BORDER_CONSTANT)
@@ -194,22 +206,23 @@ def decide(headlight: Headlight, gains: PixelGains, u: Tensor) -> PixelGains:
     nominal = gains.information.clamp(min=1e-12).rsqrt()
     new, transposed = headlight.light_texture(u).flatten(), headlight.matrix.transpose
     of_pixel = multiply(transposed, torch.ones_like(new)).clamp(min=1e-9)
-    usable, gain, std = known & (u > 0), torch.ones_like(raw), nominal
+    usable, gain = known & (u > 0), torch.ones_like(raw)
+    less = (nominal / _local_median(nominal.where(usable, torch.nan), headlight)).clamp(min=1)  # known than pixels around
     for _ in range(ROUNDS):
         left = headlight.light_texture(gain * u).flatten() / new.clamp(min=1e-9)
         around = multiply(transposed, left.where(new > 0, 1.0)) / of_pixel
         good = raw * around
         relative = good / _local_median(good.where(usable, torch.nan), headlight).clamp(min=1e-3)
-        spread = 1.4826 * _local_median(((relative - 1).abs() / nominal).where(usable, torch.nan), headlight)
-        std = torch.where(usable, nominal * spread, torch.inf)
-        worn = (std <= SEEN) & (relative < WORN) & (1 - relative > SURE * std)
+        scatter = 1.4826 * _local_median((relative - 1).abs().where(usable, torch.nan), headlight)
+        std = (scatter * less).where(usable, torch.nan).nan_to_num(torch.inf)
+        worn = (std <= KNOWN) & (relative < WORN) & (1 - relative > SURE * std)
         gain = torch.where(worn, relative.clamp(0, 1), 1.0)
     return replace(gains, gain=gain, std=std)
 
 
 def _local_median(values: Tensor, headlight: Headlight) -> Tensor:
-    """Median `[n_p]` of the pixels around each that are not NaN, 1 without any."""
-    half_rows, half_cols = (each // 2 for each in NEIGHBOURS)
+    """Median `[n_p]` of the pixels around each that are not NaN, NaN for fewer than LEAST."""
+    rows, columns = min(NEIGHBOURS[0], headlight.pixel_rows // 16 * 2 + 1), NEIGHBOURS[1]  # the rows of a lamp of few may differ
     grid = values.view(1, 1, headlight.pixel_rows, headlight.pixel_cols)
-    padded = torch.nn.functional.pad(grid, (half_cols, half_cols, half_rows, half_rows), value=torch.nan)
-    return unfold(padded, NEIGHBOURS)[0].nanmedian(0).values.nan_to_num(1.0)
+    around = unfold(torch.nn.functional.pad(grid, (columns // 2, columns // 2, rows // 2, rows // 2), value=torch.nan), (rows, columns))[0]
+    return around.nanmedian(0).values.where((~around.isnan()).sum(0) >= LEAST, torch.nan)

@@ -9,8 +9,8 @@ from luxloop.world.headlight import Headlight
 from luxloop.world.spmv import multiply, solve
 
 EVEN: Final = 0.02  # of the greatest intensity, above which errors count relative to the light
-ITERATIONS: Final = 30
-TEXELS: Final = 1.0  # a pixel in each direction, at which light is compared
+ITERATIONS: Final = 20
+TEXELS: Final = 5  # across the light of a pixel, at which light is compared
 DARK: Final = 0.3  # gain below which a pixel's own light is left as it is: it would hardly help
 
 

@@ -84,6 +84,7 @@ def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[n
         },
         "functions": dict(symbols),
     }
+    found |= {"pixels": pixels} if (pixels := _pixels(table)) else {}
     found |= {"probes": probes} if (probes := _probes(table)) else {}
     found |= {"zones": zones} if (zones := _zones(table)) else {}
     found |= {"materials": materials} if (materials := _materials(table)) else {}
@@ -192,6 +193,12 @@ def _probes(table: pa.Table) -> Summary:
         takes = ("min", "mean", "max") if key == "lx" else ("max",)
         found.setdefault(probe, {}).update({f"{key}_{what}": _over(column(table, name), what) for what in takes})
     return found
+
+
+def _pixels(table: pa.Table) -> Summary:
+    """By module: numbers of pixels with a known gain, and of those that have worn, at the end."""
+    names = [each.removeprefix("pixels.").removesuffix(".worn") for each in table.column_names if each.startswith("pixels.")][1::2]
+    return {name: {key: last(table, f"pixels.{name}.{key}") for key in ("known", "worn")} for name in names} if table.num_rows else {}
 
 
 def _zones(table: pa.Table) -> Summary:

@@ -35,8 +35,9 @@ TRAJECTORY, SUMMARY, REPORT, VIDEO, EDITS = "trajectory.parquet", "summary.json"
 RIG = "rig.json"  # of a run on a rig: rig file, and statistics of frames
 TWIN, TWIN_PICTURE = "twin.parquet", "twin.png"  # comparison of a rig's frames with simulated ones
 BEAM = "beam.png"  # the last light that was digitised live
+PIXELS = "pixels.csv"  # gains of the lamps' pixels
 PAGES = (REPORT, "report.pdf", "report.svg")  # formats of the report
-FILES = (TRAJECTORY, SUMMARY, *PAGES, VIDEO, EDITS, RIG, TWIN, TWIN_PICTURE, BEAM, MANIFEST)
+FILES = (TRAJECTORY, SUMMARY, *PAGES, VIDEO, EDITS, RIG, TWIN, TWIN_PICTURE, BEAM, PIXELS, MANIFEST)
 FORMAT_VERSION: Final = 1
 PACKAGES = ("luxloop", "torch", "numpy", "scipy", "kornia", "opencv-contrib-python-headless", "pyrender", "trimesh", "embreex", "pyarrow")
 

@@ -22,7 +22,9 @@ from luxloop.world.regulation import beam_rules
 
 # by the last part of a column's name; all other columns are float64
 TYPES = {
-    **dict.fromkeys(("step", "primitives", "detections", "false_positives", "tracks", "pixels", "track", *WHY), pa.int64()),
+    **dict.fromkeys(
+        ("step", "primitives", "detections", "false_positives", "tracks", "pixels", "track", "known", "worn", *WHY), pa.int64()
+    ),
     **dict.fromkeys(("beam", "loss"), pa.string()),
     "masked": pa.bool_(),
 }
@@ -104,6 +106,10 @@ MODULE = {
     "level_deg": ("deg", "level from its rest position, down"),
     "intensity": ("1", "maximum intensity as a share of the undimmed one"),
 }
+PIXELS = {
+    "known": ("1", "number of pixels whose gain is known: the road shows them, and the estimate has a standard deviation of at most 0.15"),
+    "worn": ("1", "number of these that have lost light for sure"),
+}
 MATERIAL = {"lx": ("lx", "illuminance"), "luminance": ("cd/m^2", "luminance")}
 PROBE = ("lx", "illuminance from the lamps on this probe, a mean over the step; empty while its object does not exist")
 EYE = {
@@ -152,6 +158,8 @@ def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
     if simulation.truth is not None:
         columns |= {f"functions.{name}.{key}": of for name in simulation.scenario.projections for key, of in PROJECTION.items()}
     columns |= {f"modules.{module}.{key}": MODULE[key] for module, key in _moved(simulation.planner, simulation.modules)}
+    if simulation.gain_loop is not None:
+        columns |= {f"pixels.{module.name}.{key}": of for module in simulation.modules for key, of in PIXELS.items()}
     if simulation.truth is not None:
         columns |= {f"probes.{name}.lx": PROBE for name in simulation.scenario.probes}
         eyes = [name for name, probe in simulation.scenario.probes.items() if probe.adaptation_cd_m2 is not None]
@@ -214,6 +222,9 @@ def row(result: Evaluation) -> dict[str, Any]:
         values |= {f"functions.{name}.{key}": getattr(seen, key) for key in PROJECTION}
     for (name, _), command in zip(result.now.lights, result.now.commands, strict=False):  # no commands where all modules are at rest
         values |= {f"modules.{name}.{key}": getattr(command, key) for key in MODULE}
+    if (state := result.control.gains) is not None:
+        for (name, _), gains in zip(result.now.lights, state.gains, strict=True):
+            values |= {f"pixels.{name}.{key}": int(which.sum()) for key, which in zip(PIXELS, (gains.known, gains.worn), strict=True)}
     values |= {f"rules.{rule}": len(failures) for rule, failures in result.rules.items()}
     values |= {f"probes.{name}.lx": lx for name, lx in result.probes.items()}
     for name, glare in result.glare.items():

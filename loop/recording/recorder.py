@@ -8,13 +8,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import pandas as pd
 import pyarrow as pa
 
 from luxloop.loop.recording.frames import FrameRecorder, elsewhere
 from luxloop.loop.recording.functions_summary import summary_of
 from luxloop.loop.recording.labels import PATTERNS as LABEL_FILES
 from luxloop.loop.recording.labels import LabelRecorder, Labels
-from luxloop.loop.recording.manifest import EDITS, FILES, SUMMARY, TRAJECTORY, Manifest, table_of, write_json, write_table
+from luxloop.loop.recording.manifest import EDITS, FILES, PIXELS, SUMMARY, TRAJECTORY, Manifest, table_of, write_json, write_table
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.recording.summary import finite
 from luxloop.loop.scenario.edits import Edit, add
@@ -22,10 +23,11 @@ from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.frames import PATTERNS as FRAME_FILES
 from luxloop.loop.simulation.lamps import Lights
+from luxloop.loop.simulation.pixel_gain_loop import GainState
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import writing
+from luxloop.world.files import atomic_write, writing
 
 FOLDED = 256  # rows as Python's values, which take ten times the memory of the table
 REST = 10  # pause between two writes, as a multiple of a write's time: recording costs a tenth at most, and a kill the last 50 ms or so
@@ -39,6 +41,7 @@ class Tally:
         self.edits = list[Edit]()
         self._idle, self._waiting = set(simulation.scenario.functions), set(simulation.scenario.functions)
         self._last = dict[str, Evaluation]()
+        self._gains: GainState | None = None
         self._covered, self._findable = dict[str, Evaluation](), set[str]()
         self._in_shadow, self._own_lights, self._elsewhere = (
             shadow_of(simulation.scenario.plant) is not None,
@@ -56,6 +59,7 @@ class Tally:
             self._idle &= self.simulation.idle(result)
         if self._waiting:
             self._waiting &= self.simulation.waiting(result)
+        self._gains = result.control.gains
         self._last |= dict.fromkeys(result.held, result)
         self._covered |= {name: result for name, each in result.held.items() if each.measurement.code == ExtractionStatus.COVERED}
         if result.detections is not None:
@@ -92,6 +96,22 @@ class Tally:
         if self._fresh:
             self._written = pa.concat_tables([self._written, table_of(self._fresh, self._written.schema)])
             self._fresh = []
+
+    def gains(self) -> str:
+        """CSV text of the lamps' pixels with a known gain, empty unless gains are estimated."""
+        if self._gains is None:
+            return ""
+        tables = [
+            pd.DataFrame({"gain": each.gain.cpu(), "std": each.std.cpu()})
+            .assign(
+                module=module.name,
+                row=lambda t, n=module.headlight.pixel_cols: t.index // n,
+                column=lambda t, n=module.headlight.pixel_cols: t.index % n,
+            )
+            .loc[each.known.cpu().numpy()]
+            for module, each in zip(self.simulation.modules, self._gains.gains, strict=True)
+        ]
+        return pd.concat(tables)[["module", "row", "column", "gain", "std"]].to_csv(index=False, float_format="%.3f")
 
     def summary(self, checked: Callable[[pa.Table], dict[str, Any]] | None = None) -> dict[str, Any]:
         """Summary of the steps so far. checked: gives the outcomes of checks, by name."""
@@ -181,6 +201,8 @@ class Recorder:
             self._write_trajectory()
             self.summary = self.tally.summary(self._checked)
             write_json(self.directory / SUMMARY, self.summary)
+            if gains := self.tally.gains():
+                atomic_write(self.directory / PIXELS, gains)
             self.manifest = self.manifest.finish(ended, self.directory)
             if self._report is not None:
                 self._report(self.table(), self.summary, self.manifest)

@@ -8,6 +8,7 @@ from rich.table import Table
 from luxloop.controllers.functions.commands import MOVEMENTS
 from luxloop.loop.recording.checks import lines
 from luxloop.loop.recording.functions_summary import NAMED, START_UP_S, UNITS, brightest, plain_name
+from luxloop.loop.recording.manifest import PIXELS
 from luxloop.loop.recording.remedies import frame_remedies, remedies, why_no_metrics
 from luxloop.loop.recording.summary import DRAWN, Summary
 from luxloop.loop.report.terminal import facts, number, plural
@@ -39,6 +40,8 @@ def summary_table(values: Summary, files: str) -> Table:  # noqa: C901 (a row a 
         rows["flux"] = f"{flux:.0f} lm (mean), {flux / low:.0%} of the undimmed low beam's {low:.0f} lm"
     if values.get("modules"):
         rows["modules"] = _modules_row(values["modules"], values["steps"])
+    for name, pixels in values.get("pixels", {}).items():
+        rows[f"pixels of {name}"] = f"{pixels['worn']:.0f} have worn of {pixels['known']:.0f} that are known, listed in {PIXELS}"
     rows |= _of_light(values["objects"], values["steps"])
     if values["dark_lx_max"] is not None:
         late = ", since masks follow detections in earlier frames" if values["dark_lx_max"] and "detections" in values else ""

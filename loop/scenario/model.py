@@ -359,11 +359,12 @@ def _exposures(scenario: Scenario) -> Iterator[str]:
 
 def _gains(scenario: Scenario) -> Iterator[str]:
     """Contradictions between pixel gains and what else alternates within a step."""
-    if scenario.pixel_gains is not None:
-        for name in scenario.symbols:
-            yield f"functions.{name}.controller: holds a symbol by its on and off frames, but those of pixel_gains alternate otherwise; leave one of both out"
-        if scenario.headlight.rate_hz is not None:
-            yield "headlight.rate_hz: the lamps draw anew within a frame, but pixel_gains needs one light a frame; leave one of both out"
+    if scenario.pixel_gains is None:
+        return
+    for name in scenario.symbols:
+        yield f"functions.{name}.controller: measures a symbol by frames with and without it, which pixel_gains needs; leave one out"
+    if scenario.headlight.rate_hz is not None:
+        yield "headlight.rate_hz: the lamps draw anew within a frame, but pixel_gains needs one light a frame; leave one out"
 
 
 def _projections(scenario: Scenario) -> Iterator[str]:

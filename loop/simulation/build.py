@@ -203,7 +203,7 @@ def build(scenario: Scenario, device: torch.device, cache: PartCache) -> dict[st
         parts = detector, scenario.tracker, scenario.camera
         pipeline = cache("pipeline", lambda *_: DetectionPipeline.prepare(detector, scenario.tracker, view, device), *parts)
     asked = scenario.pixel_gains
-    gains = None if asked is None else PixelGainLoop(asked, modules, scenario.camera, view, scenario.seed)
+    gains = None if asked is None else PixelGainLoop(asked, modules, scenario.camera, view)
     return {
         "planner": planner,
         "modules": modules,

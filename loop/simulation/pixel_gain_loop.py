@@ -27,13 +27,12 @@ class GainState:
 
 @dataclass(frozen=True, eq=False)
 class PixelGainLoop:
-    """Estimates the gains of the modules' pixels, and compensates for those that have worn. seed: of the codes."""
+    """Estimates the gains of the modules' pixels, and compensates for those that have worn."""
 
     params: PixelGainParams
     modules: tuple[ShiningModule, ...]
     camera: CameraParams
     view: View
-    seed: int
 
     @cached_property
     def estimator(self) -> GainEstimator:
@@ -49,7 +48,8 @@ class PixelGainLoop:
         shown = [each.u for each in planned]
         if state.compensations:
             shown = [each.utilisation(u) for each, u in zip(state.compensations, shown, strict=True)]
-        pairs = [swing(u, code(self.seed, step, k, u), self.params.swing) for k, u in enumerate(shown)]
+        codes = [code(each.headlight, k, step) for k, each in enumerate(self.modules)]
+        pairs = [swing(u, signs, self.params.swing) for u, signs in zip(shown, codes, strict=True)]
         first, second = zip(
             *((Utilisation(a, each.band), Utilisation(b, each.band)) for (a, b), each in zip(pairs, planned, strict=True)), strict=True
         )

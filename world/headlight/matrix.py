@@ -48,11 +48,11 @@ class Headlight(TexelGrid):
         of_entry = left.to(self.matrix.values).index_select(0, self.matrix.indices)
         return replace(self, matrix=self.matrix.with_values(self.matrix.values * of_entry))
 
-    def coarsen(self, per_pixel: float) -> "Headlight":
-        """The headlight on a coarser grid, of means over blocks of texels: at least per_pixel texels a pixel in each direction if it has
-        as many, without chroma.
+    def coarsen(self, across: int) -> "Headlight":
+        """The headlight on a coarser grid, of means over blocks of texels, with at least that many texels across the light of the middle
+        pixel if it has as many; without chroma.
         """
-        step = [max(int(n / (per_pixel * of)), 1) for n, of in ((self.rows, self.pixel_rows), (self.cols, self.pixel_cols))]
+        step = [max(each // across, 1) for each in self.pixel_extent]
         if step == [1, 1]:
             return replace(self, chroma=None)
         rows, cols = -(-self.rows // step[0]), -(-self.cols // step[1])
