@@ -30,10 +30,7 @@ PERIOD: Final = 64  # steps after which they repeat
 NEAREST_M, FARTHEST_M = 5.0, 60.0  # of road that counts
 LEAST_LIGHT: Final = 0.1  # of the expected luminance, below which something else than the road is seen
 ROAD: Final = 0.05  # standard deviation of the ratio of both frames by the road between them
-STRIPE: Final = (
-    0.25,
-    12.0,
-)  # height in deg and width in pixels' lights of the surroundings whose mean is taken off, of slopes
+STRIPE_DEG, STRIPE_LIGHTS = 0.25, 12.0  # height, and width in pixels' lights, of surroundings whose mean is taken off: slopes across
 OUTLIER: Final = 5.0  # standard deviations at which a pixel counts half
 NEIGHBOURS: Final = (5, 25)  # rows and columns of pixels whose median response is that of a good one
 LEAST: Final = 10  # of these that must be seen
@@ -119,42 +116,34 @@ class GainEstimator:
     def __init__(self, headlights: Sequence[Headlight], camera: CameraParams) -> None:
         self.headlights, self.camera = tuple(each.coarsen(TEXELS) for each in headlights), camera
         widths = [each.pixel_extent[1] * (each.left - each.right) / each.cols for each in self.headlights]
-        self._stripe = math.radians(STRIPE[0]), STRIPE[1] * max(widths)
+        self._stripe = math.radians(STRIPE_DEG), STRIPE_LIGHTS * max(widths)
         self._squares: list[Csr] = [each.matrix.with_values(each.matrix.values.square()).transpose for each in self.headlights]
 
     def look(self, gains: Sequence[PixelGains], first: Sight, second: Sight, T_first_second: Tensor) -> tuple[PixelGains, ...]:
         """Gains with what one pair of frames tells of them. T_first_second: `[4, 4]`, second ground frame in the first."""
         means, changes = zip(*(((a + b) / 2, (a - b) / 2) for a, b in zip(first.lights, second.lights, strict=True)), strict=True)
-        lit = zip(self.headlights, means, changes, strict=True)
-        textures = [tuple(light.light_texture(u).flatten() for u in (mean, change)) for light, mean, change in lit]
         road = flat_road(first.view, 1.0)
         ahead = road.position[0].flatten()
         pixel = torch.nonzero((ahead > NEAREST_M) & (ahead < FARTHEST_M))[:, 0]
         place, normal = road.position.flatten(1)[:, pixel], road.normal.flatten(1)[:, pixel]
         then = transform(inverse(T_first_second).to(place), place)  # the same points in the second ground frame
-        reach = [self._reach(place, normal, first), self._reach(then, normal, second)]
-        mean = [sum(factor * own[0][texel] for (texel, factor), own in zip(each, textures, strict=True)) for each in reach]
-        change = [sum(factor * own[1][texel] for (texel, factor), own in zip(each, textures, strict=True)) for each in reach]
-        shown = [
-            luminance_of(first.image, self.camera).flatten()[pixel],
-            self._where(luminance_of(second.image, self.camera), then, second.view),
-        ]
-        relative = [seen / expected.clamp(min=1e-9) for seen, expected in zip(shown, mean, strict=True)]
-        both = (relative[0] + relative[1]) / 2
-        reached = (mean[0] > 0) & (mean[1] > 0)
+        reach = self._reach(place, normal, first), self._reach(then, normal, second)
+        seen = luminance_of(first.image, self.camera).flatten()[pixel]
+        seen_then = self._at(luminance_of(second.image, self.camera), then, second.view)
+        mean, mean_then = (self._light(each, means) for each in reach)
+        one, other = seen / mean, seen_then / mean_then  # by what surfaces reflect; infinite or NaN out of the light
+        reached = (mean > 0) & (mean_then > 0) & (seen_then > 0)
         if not bool(reached.any()):
             return tuple(gains)
-        valid = reached & (both > LEAST_LIGHT * both[reached].median()) & (shown[1] > 0)
-        ratio = (relative[0] - relative[1]) / (2 * both.clamp(min=1e-9))
-        expected = (change[0] / mean[0].clamp(min=1e-9) + change[1] / mean[1].clamp(min=1e-9)) / 2
-        residual = self._without_stripes(torch.where(valid, ratio - expected, 0.0), valid, pixel, first.view)
-        noise = noise_std(shown[0], self.camera) / shown[0].clamp(min=1e-9)
-        variance = ROAD**2 + noise.square() / 2
-        spread = (residual.square() / variance)[valid].median() / 0.455  # of a standard normal number's square
+        valid = reached & (one + other > LEAST_LIGHT * (one + other)[reached].median())
+        expected = (self._light(reach[0], changes) / mean + self._light(reach[1], changes) / mean_then) / 2
+        residual = self._without_stripes(torch.where(valid, (one - other) / (one + other) - expected, 0.0), valid, pixel, first.view)
+        variance = ROAD**2 + (noise_std(seen, self.camera) / seen).square() / 2
+        spread = (residual.square() / variance)[valid].median() / 0.455  # median of a standard normal number's square
         far = residual.square() / (OUTLIER**2 * spread * variance)
         weight = torch.where(valid, 1 / (variance * spread * (1 + far)), 0.0)
         return tuple(
-            self._with(k, each, changes[k], texel, factor / mean[0].clamp(min=1e-9), weight, residual)
+            self._with(k, each, changes[k], texel, torch.where(valid, factor / mean, 0.0), weight, residual)
             for k, (each, (texel, factor)) in enumerate(zip(gains, reach[0], strict=True))
         )
 
@@ -179,8 +168,13 @@ class GainEstimator:
             found.append((texel, inside * lux_per_cd(T[:3, 3:].to(place) - place, normal)))
         return found
 
+    def _light(self, reach: Sequence[tuple[Tensor, Tensor]], lights: Sequence[Tensor]) -> Tensor:
+        """Illuminance `[N]` of points by all modules. lights: utilisations or their changes `[n_p]`, one a module."""
+        parts = zip(self.headlights, reach, lights, strict=True)
+        return torch.stack([factor * light.light_texture(u).flatten()[texel] for light, (texel, factor), u in parts]).sum(0)
+
     @staticmethod
-    def _where(image: Tensor, place: Tensor, view: View) -> Tensor:
+    def _at(image: Tensor, place: Tensor, view: View) -> Tensor:
         """An image `[height, width]` at points `[3, N]`, 0 beyond its border."""
         (u, v), depth = view.project(place.double())
         u, v = (torch.where(depth > 0, 2 * each / n - 1, 2.0).to(image) for each, n in ((u, view.width), (v, view.height)))

@@ -60,7 +60,7 @@ class PixelGainLoop:
         images = pair.images
         if images is None:
             return state
-        on, off = (self._sight(image, *each) for image, *each in zip(images, (pair.on, pair.off), egos, strict=True))
+        on, off = (self._sight(*each) for each in zip(images, (pair.on, pair.off), egos, strict=True))
         way = attitude(None) if egos[0] is None else egos[0].way(pair.off.start_s - pair.on.start_s).double().cpu()
         state = replace(state, gains=self.estimator.look(state.gains, on, off, way))
         if pair.off.start_s - state.updated_s < self.params.update_s:
