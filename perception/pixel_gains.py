@@ -25,12 +25,12 @@ from luxloop.world.rendering.gbuffer import flat_road
 from luxloop.world.spmv import Csr, multiply
 from luxloop.world.texels import resample
 
-WIDE: Final = 4  # rows and columns of pixels after which codes repeat, farther than a pixel's light
-PERIOD: Final = 64  # steps after which they repeat
+WIDE: Final = 6  # rows and columns of pixels after which codes repeat, farther than a pixel's light
+PERIOD: Final = 128  # steps after which they repeat
 NEAREST_M, FARTHEST_M = 5.0, 60.0  # of road that counts
 LEAST_LIGHT: Final = 0.1  # of the expected luminance, below which something else than the road is seen
 ROAD: Final = 0.05  # standard deviation of the ratio of both frames by the road between them
-STRIPE_DEG, STRIPE_LIGHTS = 0.25, 12.0  # height, and width in pixels' lights, of surroundings whose mean is taken off: slopes across
+STRIPE_DEG, STRIPE_LIGHTS = 0.25, 24.0  # height, and width in pixels' lights, of surroundings whose mean is taken off: slopes across
 OUTLIER: Final = 5.0  # standard deviations at which a pixel counts half
 NEIGHBOURS: Final = (5, 25)  # rows and columns of pixels whose median response is that of a good one
 LEAST: Final = 10  # of these that must be seen
