@@ -197,7 +197,8 @@ def _probes(table: pa.Table) -> Summary:
 
 def _pixels(table: pa.Table) -> Summary:
     """By module: numbers of pixels with a known gain, and of those that have worn, at the end."""
-    names = [each.removeprefix("pixels.").removesuffix(".worn") for each in table.column_names if each.startswith("pixels.")][1::2]
+    known = [each for each in table.column_names if each.startswith("pixels.") and each.endswith(".known")]
+    names = [each.removeprefix("pixels.").removesuffix(".known") for each in known]
     return {name: {key: last(table, f"pixels.{name}.{key}") for key in ("known", "worn")} for name in names} if table.num_rows else {}
 
 

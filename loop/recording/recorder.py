@@ -10,6 +10,7 @@ from typing import Any, Self
 
 import pandas as pd
 import pyarrow as pa
+import torch
 
 from luxloop.loop.recording.frames import FrameRecorder, elsewhere
 from luxloop.loop.recording.functions_summary import summary_of
@@ -101,17 +102,13 @@ class Tally:
         """CSV text of the lamps' pixels with a known gain, empty unless gains are estimated."""
         if self._gains is None:
             return ""
-        tables = [
-            pd.DataFrame({"gain": each.gain.cpu(), "std": each.std.cpu()})
-            .assign(
-                module=module.name,
-                row=lambda t, n=module.headlight.pixel_cols: t.index // n,
-                column=lambda t, n=module.headlight.pixel_cols: t.index % n,
-            )
-            .loc[each.known.cpu().numpy()]
-            for module, each in zip(self.simulation.modules, self._gains.gains, strict=True)
-        ]
-        return pd.concat(tables)[["module", "row", "column", "gain", "std"]].to_csv(index=False, float_format="%.3f")
+        tables = list[pd.DataFrame]()
+        for module, each in zip(self.simulation.modules, self._gains.gains, strict=True):
+            pixel = torch.nonzero(each.known)[:, 0].cpu()
+            row, column = pixel // module.headlight.pixel_cols, pixel % module.headlight.pixel_cols
+            values = {"row": row, "column": column, "gain": each.gain.cpu()[pixel], "std": each.std.cpu()[pixel]}
+            tables.append(pd.DataFrame({"module": module.name, **{key: value.numpy() for key, value in values.items()}}))
+        return pd.concat(tables).to_csv(index=False, float_format="%.3f")
 
     def summary(self, checked: Callable[[pa.Table], dict[str, Any]] | None = None) -> dict[str, Any]:
         """Summary of the steps so far. checked: gives the outcomes of checks, by name."""

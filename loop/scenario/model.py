@@ -281,7 +281,9 @@ class Scenario(Params):
     @property
     def frame_shares(self) -> tuple[float, ...]:
         """Shares of a control step, one a frame: with symbols under control and without them, halves for pixel gains, or the whole."""
-        return (1 - self.off_share, self.off_share) if self.symbols or self.pixel_gains else (1.0,)
+        if self.symbols:
+            return 1 - self.off_share, self.off_share
+        return (1.0,) if self.pixel_gains is None else (0.5, 0.5)
 
     @property
     def drawings(self) -> tuple[int, ...]:
@@ -348,10 +350,11 @@ def _exposures(scenario: Scenario) -> Iterator[str]:
                 f"camera.exposure_s: {exposure_s:g} s is longer than {part} a control period, "
                 f"but an on and an off frame must fit into one; give at most {share / rate_hz:.4g} s or lower rate_hz{nearer}"
             )
+    if scenario.symbols:
         return
     if scenario.off_share != 0.5:
         yield "off_share: no controller holds a symbol here; leave it out"
-    for key in ("oncoming", "ambient"):
+    for key in ("oncoming", "ambient") if scenario.pixel_gains is None else ():
         for k, each in enumerate(getattr(scenario.disturbances, key)):
             if each.frames == "off":
                 yield f"disturbances.{key}[{k}].frames: without a held symbol, steps have no off frame; leave it out"
