@@ -35,8 +35,9 @@ OUTLIER: Final = 5.0  # standard deviations at which a pixel counts half
 NEIGHBOURS: Final = (5, 25)  # rows and columns of pixels whose median response is that of a good one
 LEAST: Final = 10  # of these that must be seen
 KNOWN: Final = 0.15  # largest standard deviation of a gain that counts as known
-WORN: Final = 0.7  # gain below which a pixel has worn
-SURE: Final = 3.5  # standard deviations
+DEAD: Final = 0.25  # relative response of a dead pixel, since the mean that is taken off holds a part of it
+WORN: Final = 0.8  # relative response below which a pixel has worn
+SURE: Final = 3.0  # standard deviations
 ROUNDS: Final = 3
 TEXELS: Final = 6  # across the light of a pixel
 
@@ -210,7 +211,7 @@ def decide(headlight: Headlight, gains: PixelGains, u: Tensor) -> PixelGains:
         scatter = 1.4826 * _local_median((relative - 1).abs().where(usable, torch.nan), headlight)
         std = (scatter * less).where(usable, torch.nan).nan_to_num(torch.inf)
         worn = (std <= KNOWN) & (relative < WORN) & (1 - relative > SURE * std)
-        gain = torch.where(worn, relative.clamp(0, 1), 1.0)
+        gain = torch.where(worn, ((relative - DEAD) / (1 - DEAD)).clamp(0, 1), 1.0)
     return replace(gains, gain=gain, std=std)
 
 
