@@ -33,7 +33,7 @@ ROAD: Final = 0.05  # standard deviation of the ratio of both frames by the road
 STRIPE_DEG, STRIPE_LIGHTS = 0.25, 24.0  # height, and width in pixels' lights, of surroundings whose mean is taken off: slopes across
 OUTLIER: Final = 5.0  # standard deviations at which a pixel counts half
 NEIGHBOURS: Final = (5, 25)  # rows and columns of pixels whose median response is that of a good one
-LEAST: Final = 10  # of these that must be seen
+LEAST: Final = 5  # of these that must be seen
 KNOWN: Final = 0.15  # largest standard deviation of a gain that counts as known
 DEAD: Final = 0.25  # relative response of a dead pixel, since the mean that is taken off holds a part of it
 WORN: Final = 0.8  # relative response below which a pixel has worn
@@ -209,15 +209,15 @@ def decide(headlight: Headlight, gains: PixelGains, u: Tensor) -> PixelGains:
         good = raw * around
         relative = good / _local_median(good.where(usable, torch.nan), headlight).clamp(min=1e-3)
         scatter = 1.4826 * _local_median((relative - 1).abs().where(usable, torch.nan), headlight)
-        std = (scatter * less).where(usable, torch.nan).nan_to_num(torch.inf)
+        std = (scatter * less).maximum(nominal).where(usable, torch.nan).nan_to_num(torch.inf)
         worn = (std <= KNOWN) & (relative < WORN) & (1 - relative > SURE * std)
         gain = torch.where(worn, ((relative - DEAD) / (1 - DEAD)).clamp(0, 1), 1.0)
     return replace(gains, gain=gain, std=std)
 
 
 def _local_median(values: Tensor, headlight: Headlight) -> Tensor:
-    """Median `[n_p]` of the pixels around each that are not NaN, NaN for fewer than LEAST."""
-    rows, columns = min(NEIGHBOURS[0], headlight.pixel_rows // 16 * 2 + 1), NEIGHBOURS[1]  # the rows of a lamp of few may differ
+    """Median `[n_p]` of the pixels around each that are not NaN, of fewer in lamps of few, whose rows differ; NaN for less than LEAST."""
+    rows, columns = min(NEIGHBOURS[0], headlight.pixel_rows // 16 * 2 + 1), min(NEIGHBOURS[1], headlight.pixel_cols // 6 * 2 + 1)
     grid = values.view(1, 1, headlight.pixel_rows, headlight.pixel_cols)
     around = unfold(torch.nn.functional.pad(grid, (columns // 2, columns // 2, rows // 2, rows // 2), value=torch.nan), (rows, columns))[0]
     return around.nanmedian(0).values.where((~around.isnan()).sum(0) >= LEAST, torch.nan)
