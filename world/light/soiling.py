@@ -68,12 +68,12 @@ def transmission(coverage: float, through: float, spot: float, height: int, widt
     Its mean is `1 - coverage (1 - through)`, to a pixel.
     """
     noise = np.random.default_rng(seed).standard_normal((height, width))
-    smooth = _blurred(noise, spot * width / 2)
+    smooth = _blur(noise, spot * width / 2)
     covered = (smooth > np.quantile(smooth, 1 - coverage)) if coverage < 1 else np.ones_like(smooth)
-    return torch.from_numpy(1 - (1 - through) * _blurred(covered, SPREAD * spot * width)).clamp(0, 1).float()
+    return torch.from_numpy(1 - (1 - through) * _blur(covered, SPREAD * spot * width)).clamp(0, 1).float()
 
 
-def _blurred(image: np.ndarray, sigma_px: float) -> np.ndarray:
+def _blur(image: np.ndarray, sigma_px: float) -> np.ndarray:
     """A periodic Gaussian blur, which keeps the mean."""
     frequency = np.hypot(np.fft.fftfreq(image.shape[0])[:, None], np.fft.rfftfreq(image.shape[1])[None])
     return np.fft.irfft2(np.fft.rfft2(image) * np.exp(-2 * (np.pi * sigma_px * frequency) ** 2), image.shape)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.simulated import build_scene
-from luxloop.loop.studies.training.widening import crowded, widened
+from luxloop.loop.studies.training.widening import crowd, widen_scene
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.ground_truth import ground_truth
 from luxloop.world.files import whole
@@ -142,7 +142,7 @@ def draw(seed: int, folder: str, wide: bool = False) -> dict[str, Any]:
     camera = CAMERA
     if wide:
         rng = np.random.default_rng([seed, 5])
-        bodies = widened(scenario.all_objects, ground.road, time_s, rng)
+        bodies = widen_scene(scenario.all_objects, ground.road, time_s, rng)
         camera = CAMERA.model_copy(
             update=dict(zip(("pitch_deg", "roll_deg", "yaw_deg", "z_m"), rng.normal((1.5, 0, 0, 1.35), SWAY), strict=True))
         )
@@ -197,7 +197,7 @@ def tables(seed: int) -> dict[str, Any]:
 def _scenario(seed: int, wide: bool) -> Scenario:
     found = tables(seed)
     if wide:
-        found |= crowded(found, road_seed(seed))
+        found |= crowd(found, road_seed(seed))
     return validate({"name": "training", "lighting": {}, **found}, f"seed {seed}")
 
 

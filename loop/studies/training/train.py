@@ -189,7 +189,7 @@ def _learnt(seen: Sequence[Row], wider: Sequence[Row], epochs: int, seed: int) -
     The mean of the weights before and after the wide scenes keeps what both know (Wortsman et al., "Robust fine-tuning of zero-shot
     models", 2022).
     """
-    (learnt, asked), (also, wide_asked) = _parted(seen), _parted(wider)
+    (learnt, asked), (also, wide_asked) = _split(seen), _split(wider)
     steps, more = -(-epochs * len(learnt) // BATCH), -(-WIDE_EPOCHS * len(also) // BATCH)
     with tables.progress("training", steps + more) as advance:
         network = fit(learnt, steps, seed, lambda _: advance())
@@ -214,7 +214,7 @@ def mean_of(one: Network, other: Network) -> Network:
     return network.eval()
 
 
-def _parted(rows: Sequence[Row]) -> tuple[Sequence[Row], Sequence[Row]]:
+def _split(rows: Sequence[Row]) -> tuple[Sequence[Row], Sequence[Row]]:
     """Scenes to learn from and to calibrate on; too few serve both."""
     last = len(rows) // CALIBRATING
     return (rows[:-last], rows[-last:]) if last else (rows, rows)

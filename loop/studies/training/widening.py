@@ -40,7 +40,7 @@ def between(rng: Rng, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def crowded(tables: dict[str, Any], seed: int) -> dict[str, Any]:
+def crowd(tables: dict[str, Any], seed: int) -> dict[str, Any]:
     """More objects than in tables of `random_tables`; roads with grades, or wet, of every other seed."""
     rng = np.random.default_rng([seed, 6])
     traffic = tables["traffic"] | {"on_road": True}
@@ -57,22 +57,22 @@ def crowded(tables: dict[str, Any], seed: int) -> dict[str, Any]:
     return {"traffic": traffic, "road": road, "surface": surface}
 
 
-def widened(items: Sequence[ObjectParams], road: Road, time_s: float, rng: Rng) -> list[tuple[Body | Figure, Category | None]]:
-    """Bodies of objects at a time on a road, widened, with company and clutter, and what each counts as."""
+def widen_scene(items: Sequence[ObjectParams], road: Road, time_s: float, rng: Rng) -> list[tuple[Body | Figure, Category | None]]:
+    """Bodies of objects at a time on a road, wider, with company and clutter, and what each counts as."""
     found = list[tuple[Body | Figure, Category | None]]()
     for item in items:
         made = item.build()
         body = widen(item, made.at(time_s) if isinstance(made, Figure) else made, rng)
         category: Category | None = "car" if item.kind == "car" else item.category
-        found.append((_placed(body, body.track.pose_at(time_s), road, item.wheels_m), category))
+        found.append((_place(body, body.track.pose_at(time_s), road, item.wheels_m), category))
         if item.kind == "pedestrian" and rng.random() < 0.25:
             beside = body.track.pose_at(time_s) @ pose_from_degrees((rng.normal(0, 0.2), rng.uniform(0.55, 0.9), 0.0))
             other = item.model_copy(update={"seed": int(rng.integers(2**31)), "name": f"{item.name}_company"}).build()
-            found.append((_placed(widen(item, other.at(0.0) if isinstance(other, Figure) else other, rng), beside, road, None), category))
+            found.append((_place(widen(item, other.at(0.0) if isinstance(other, Figure) else other, rng), beside, road, None), category))
     return [*found, *((each, None) for each in clutter(int(rng.integers(2, 8)), [body for body, _ in found], road, rng))]
 
 
-def _placed(body: Body, T_world_body: Tensor, road: Road, wheels_m: tuple[float, float] | None) -> Body:
+def _place(body: Body, T_world_body: Tensor, road: Road, wheels_m: tuple[float, float] | None) -> Body:
     return replace(body, track=replace(PoseTrack.static(T_world_body), road=road, wheels_m=wheels_m))
 
 
@@ -80,14 +80,14 @@ def widen(item: ObjectParams, body: Body, rng: Rng) -> Body:
     """A body of an object in other proportions, another pose or another texture, with loads; some stay as they are."""
     if item.kind not in FACTORS or rng.random() < PLAIN:
         return body
-    other = {"pedestrian": (_posed, 0.3), "car": (_vehicle, 0.4), "animal": (_animal, 0.5)}.get(item.kind)
+    other = {"pedestrian": (_pose, 0.3), "car": (_vehicle, 0.4), "animal": (_animal, 0.5)}.get(item.kind)
     if other and rng.random() < other[1]:
         body = other[0](item, body.track, rng)
-    body = _textured(_warped(body, FACTORS[item.kind], rng), rng)
-    return _joined(body, *_loads(body, item.kind, rng)) if rng.random() < 0.6 else body
+    body = _texture(_warp(body, FACTORS[item.kind], rng), rng)
+    return _join(body, *_loads(body, item.kind, rng)) if rng.random() < 0.6 else body
 
 
-def _warped(body: Body, factors: Sequence[tuple[float, float]], rng: Rng) -> Body:
+def _warp(body: Body, factors: Sequence[tuple[float, float]], rng: Rng) -> Body:
     """A body stretched along its axes, unevenly, and wider or narrower from height to height; its foot stays."""
     vertices = np.array(body.mesh.vertices)
     low, high = vertices.min(0), vertices.max(0)
@@ -108,7 +108,7 @@ def _warped(body: Body, factors: Sequence[tuple[float, float]], rng: Rng) -> Bod
     return replace(body, mesh=trimesh.Trimesh(moved(vertices), body.mesh.faces, process=False), spotlights=lamps)
 
 
-def _textured(body: Body, rng: Rng) -> Body:
+def _texture(body: Body, rng: Rng) -> Body:
     """A body some of whose parts have blotches of another albedo: where the sum of two random waves is positive."""
     assert body.part_of_face is not None
     of_face, parts, middles = body.part_of_face.numpy().copy(), list(body.parts), np.asarray(body.mesh.triangles_center)
@@ -122,7 +122,7 @@ def _textured(body: Body, rng: Rng) -> Body:
     return replace(body, parts=tuple(parts), part_of_face=torch.from_numpy(of_face))
 
 
-def _joined(body: Body, pieces: Sequence[Piece], looks: Looks) -> Body:
+def _join(body: Body, pieces: Sequence[Piece], looks: Looks) -> Body:
     assert body.part_of_face is not None
     vertices, faces, of_face = [np.array(body.mesh.vertices)], [np.array(body.mesh.faces)], [body.part_of_face]
     for k, piece in enumerate(pieces):
@@ -167,7 +167,7 @@ def _loads(body: Body, kind: str, rng: Rng) -> tuple[list[Piece], Looks]:
     return pieces, looks
 
 
-def _posed(item: ObjectParams, track: PoseTrack, rng: Rng) -> Body:
+def _pose(item: ObjectParams, track: PoseTrack, rng: Rng) -> Body:
     """Somebody in a random pose, bent or seated on a box."""
     assert isinstance(item, PedestrianParams)
     who = someone(rng, item.height_m, item.clothing)
@@ -273,7 +273,7 @@ def clutter(number: int, others: Sequence[Body | Figure], road: Road, rng: Rng) 
                 mesh, names, of_face = join(pieces)
                 parts = tuple(Part(name, looks[name][1], looks[name][0]) for name in names)
                 body = Body(f"thing_{k}", mesh, smooth=True, parts=parts, part_of_face=torch.from_numpy(of_face))
-                found.append(_placed(body, pose_from_degrees((*place.tolist(), 0.0), yaw_deg=yaw_deg), road, None))
+                found.append(_place(body, pose_from_degrees((*place.tolist(), 0.0), yaw_deg=yaw_deg), road, None))
                 taken.append((place, reach))
                 break
     return found

@@ -7,17 +7,17 @@ import torch
 from luxloop import validate
 from luxloop.loop.simulation.simulated import build_scene
 from luxloop.loop.studies.training.scenes import CLASSES, HELD_OUT, TRAINING, draw, tables
-from luxloop.loop.studies.training.widening import crowded, widened
+from luxloop.loop.studies.training.widening import crowd, widen_scene
 from luxloop.world.roads.base import Road
 from luxloop.world.scene.body import Body
 
 
 def bodies(seed: int) -> tuple[list[tuple[Body, str | None]], Road]:
     found = tables(seed)
-    scenario = validate({"name": "a", "lighting": {}, **found, **crowded(found, seed)}, "a")
+    scenario = validate({"name": "a", "lighting": {}, **found, **crowd(found, seed)}, "a")
     scene = build_scene(scenario)
     road = scene.bodies[0].road
-    return widened(scenario.all_objects, road, 1.0, np.random.default_rng(seed)), road
+    return widen_scene(scenario.all_objects, road, 1.0, np.random.default_rng(seed)), road
 
 
 def test_bodies_come_from_a_seed_stand_on_the_road_and_count_as_what_they_were():
