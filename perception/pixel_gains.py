@@ -16,7 +16,7 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn.functional import unfold
 
-from luxloop.perception.camera import CameraParams, luminance_of, noise_std
+from luxloop.perception.camera import CameraParams, luminance_of, noise_std, saturation_luminance
 from luxloop.world.frames import View, inverse, transform
 from luxloop.world.headlight import Headlight
 from luxloop.world.light.illumination import lux_per_cd
@@ -26,8 +26,9 @@ from luxloop.world.spmv import Csr, multiply
 from luxloop.world.texels import resample
 
 WIDE: Final = 6  # rows and columns of pixels after which codes repeat, farther than a pixel's light
-PERIOD: Final = 128  # steps after which they repeat
+MODULES, PERIOD = 14, 512  # modules, and steps, after which they repeat
 NEAREST_M, FARTHEST_M = 5.0, 60.0  # of road that counts
+SATURATED: Final = 0.01  # below the greatest luminance, where frames do not count
 LEAST_LIGHT: Final = 0.1  # of the expected luminance, below which something else than the road is seen
 ROAD: Final = 0.05  # standard deviation of the ratio of both frames by the road between them
 STRIPE_DEG, STRIPE_LIGHTS = 0.25, 24.0  # height, and width in pixels' lights, of surroundings whose mean is taken off: slopes across
@@ -68,11 +69,13 @@ class PixelGains:
     """Gains of a module's pixels, all `[n_p]`: light relative to that of a new pixel.
 
     response: sum of measured gains times their information. information: 1 / variance if the noise were that of the camera alone.
+    light: sum of the utilisations times the information.
     gain: 1 for pixels that have not worn or are not known. std: standard deviation, infinite where the road does not show a pixel.
     """
 
     response: Tensor
     information: Tensor
+    light: Tensor
     gain: Tensor
     std: Tensor
 
@@ -80,7 +83,7 @@ class PixelGains:
     def unknown(cls, headlight: Headlight) -> "PixelGains":
         """Nothing is known, all pixels count as new."""
         nothing = torch.zeros(headlight.n_pixels).to(headlight.matrix.values)
-        return cls(nothing, nothing, nothing + 1, nothing + torch.inf)
+        return cls(nothing, nothing, nothing, nothing + 1, nothing + torch.inf)
 
     @property
     def known(self) -> Tensor:
@@ -96,11 +99,12 @@ class PixelGains:
 def code(headlight: Headlight, module: int, step: int) -> Tensor:
     """1 or -1 for each pixel `[n_p]`: whether it is brighter in the first or the second frame of a step.
 
-    Walsh functions over PERIOD steps: within it all pixels of a block of WIDE x WIDE are orthogonal, and those of three modules.
+    Walsh functions: over PERIOD steps all pixels of a block of WIDE x WIDE are orthogonal, and those of MODULES modules; of the first three
+    over a quarter of it.
     """
     row, column = np.divmod(np.arange(headlight.n_pixels), headlight.pixel_cols)
-    word = 1 + WIDE**2 * (module % 3) + row % WIDE * WIDE + column % WIDE & step % PERIOD
-    for half in (4, 2, 1):
+    word = 1 + WIDE**2 * (module % MODULES) + row % WIDE * WIDE + column % WIDE & step % PERIOD
+    for half in (8, 4, 2, 1):
         word ^= word >> half
     return 1 - 2 * torch.from_numpy(word & 1).to(headlight.matrix.values)
 
@@ -126,14 +130,16 @@ class GainEstimator:
         road = flat_road(first.view, 1.0)
         ahead = road.position[0].flatten()
         pixel = torch.nonzero((ahead > NEAREST_M) & (ahead < FARTHEST_M))[:, 0]
-        place, normal = road.position.flatten(1)[:, pixel], road.normal.flatten(1)[:, pixel]
+        place, normal = (each.flatten(1)[:, pixel].to(first.image.device) for each in (road.position, road.normal))
+        pixel = pixel.to(first.image.device)
         then = transform(inverse(T_first_second).to(place), place)  # the same points in the second ground frame
         reach = self._reach(place, normal, first), self._reach(then, normal, second)
         seen = luminance_of(first.image, self.camera).flatten()[pixel]
         seen_then = self._at(luminance_of(second.image, self.camera), then, second.view)
         mean, mean_then = (self._light(each, means) for each in reach)
         one, other = seen / mean, seen_then / mean_then  # by what surfaces reflect; infinite or NaN out of the light
-        reached = (mean > 0) & (mean_then > 0) & (seen_then > 0)
+        most = (1 - SATURATED) * saturation_luminance(self.camera)
+        reached = (mean > 0) & (mean_then > 0) & (seen_then > 0) & (seen < most) & (seen_then < most)
         if not bool(reached.any()):
             return tuple(gains)
         valid = reached & (one + other > LEAST_LIGHT * (one + other)[reached].median())
@@ -144,19 +150,24 @@ class GainEstimator:
         far = residual.square() / (OUTLIER**2 * spread * variance)
         weight = torch.where(valid, 1 / (variance * spread * (1 + far)), 0.0)
         return tuple(
-            self._with(k, each, changes[k], texel, torch.where(valid, factor / mean, 0.0), weight, residual)
+            self._with(k, each, (means[k], changes[k]), texel, torch.where(valid, factor / mean, 0.0), weight, residual)
             for k, (each, (texel, factor)) in enumerate(zip(gains, reach[0], strict=True))
         )
 
     def _with(
-        self, k: int, gains: PixelGains, change: Tensor, texel: Tensor, share: Tensor, weight: Tensor, residual: Tensor
+        self, k: int, gains: PixelGains, lights: tuple[Tensor, Tensor], texel: Tensor, share: Tensor, weight: Tensor, residual: Tensor
     ) -> PixelGains:
-        light = self.headlights[k]
+        """Gains with one pair. lights: mean utilisations and their changes `[n_p]`."""
+        light, (u, change) = self.headlights[k], lights
         empty = share.new_zeros(light.n_texels)
         correlation = change * multiply(light.matrix.transpose, empty.index_add(0, texel, share * weight * residual))
         information = change.square() * multiply(self._squares[k], empty.index_add(0, texel, share.square() * weight))
-        response = gains.response + correlation + information
-        return replace(gains, response=response, information=gains.information + information)
+        return replace(
+            gains,
+            response=gains.response + correlation + information,
+            information=gains.information + information,
+            light=gains.light + information * u,
+        )
 
     def _reach(self, place: Tensor, normal: Tensor, sight: Sight) -> list[tuple[Tensor, Tensor]]:
         """For each module the nearest texel `[N]` of points `[3, N]` of the road, and `cos / d^2` `[N]`, 0 out of its reach."""
@@ -191,13 +202,14 @@ class GainEstimator:
         return torch.where(valid, residual - total / count.clamp(min=1e-9), 0.0)
 
 
-def decide(headlight: Headlight, gains: PixelGains, u: Tensor) -> PixelGains:
-    """Gains and their standard deviations from all responses so far. u: `[n_p]`, utilisation that was shown.
+def decide(headlight: Headlight, gains: PixelGains) -> PixelGains:
+    """Gains and their standard deviations from all responses so far.
 
     A response is relative to the light around it, of which worn pixels lack their part; most pixels nearby are good.
     """
     known = gains.information > 0
     raw = torch.where(known, gains.response / gains.information.where(known, 1.0), 1.0)
+    u = torch.where(known, gains.light / gains.information.where(known, 1.0), 0.0)
     nominal = gains.information.clamp(min=1e-12).rsqrt()
     new, transposed = headlight.light_texture(u).flatten(), headlight.matrix.transpose
     of_pixel = multiply(transposed, torch.ones_like(new)).clamp(min=1e-9)

@@ -35,7 +35,7 @@ from luxloop.perception.boxes import (
 )
 from luxloop.perception.detection.detector import SAME, Detections, overlaps
 from luxloop.world.frames import View
-from luxloop.world.params import Params, PositiveShare
+from luxloop.world.params import Params
 from luxloop.world.traffic.tracked import Category
 
 
@@ -151,8 +151,11 @@ class TrackerParams(Params):
     """Parameters of luxloop's tracker."""
 
     kind: Literal["kalman"] = "kalman"
-    start_score: PositiveShare = Field(
-        0.65, description="least score of a detection that starts a track and speaks for its existence; half of it continues one"
+    start_score: float = Field(
+        0.65,
+        gt=0,
+        lt=1,
+        description="least score of a detection that starts a track and speaks for its existence; half of it continues one",
     )
     confirm_frames: int = Field(3, ge=1, le=30, description="consecutive frames with at least that score before a new object is reported")
     keep_s: float = Field(
@@ -316,6 +319,7 @@ class Tracker:
         away = (whole[:, 2] < 0) | (whole[:, 0] > self.view.width)
         evidence = score.amax(-1).clamp(max=SUREST).logit() - math.log(self.params.start_score / (1 - self.params.start_score))
         odds_s = (tracks.odds_s + dt * torch.where(shown, evidence, -1.0)).clamp(max=self.params.keep_s)
+        odds_s = torch.where(shown, odds_s.clamp(min=0), odds_s)
         gone = ~shown & (away | (odds_s < -dt / 2))  # half a frame, for rounded times
         return replace(
             tracks,

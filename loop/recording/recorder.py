@@ -121,7 +121,8 @@ class Tally:
         if self.simulation.pipeline is not None:
             for name, each in summary["objects"].items():
                 each["findable"] = name in self._findable
-        if self.simulation.pipeline is not None or self.simulation.planner.adaptive or self.simulation.controlled:
+        now = self.simulation
+        if now.pipeline is not None or now.planner.adaptive or now.controlled or now.gain_loop is not None:
             known = sum(number in self._exposures for number in self._images)
             summary["frames"] = {"asked": len(self._exposures), "came": known, "unknown": len(self._images) - known}
         summary |= {"idle_functions": idle, "checks": {} if checked is None else checked(self.table())}

@@ -366,6 +366,8 @@ def _gains(scenario: Scenario) -> Iterator[str]:
         return
     for name in scenario.symbols:
         yield f"functions.{name}.controller: measures a symbol by frames with and without it, which pixel_gains needs; leave one out"
+    if scenario.lighting.power_limit is not None:
+        yield "lighting.power_limit: limits the planned light, which pixel_gains raises; leave one out"
     if scenario.headlight.rate_hz is not None:
         yield "headlight.rate_hz: the lamps draw anew within a frame, but pixel_gains needs one light a frame; leave one out"
 

@@ -65,13 +65,13 @@ class PixelGainLoop:
         state = replace(state, gains=self.estimator.look(state.gains, on, off, way))
         if pair.off.start_s - state.updated_s < self.params.update_s:
             return state
-        means = [(a + b) / 2 for a, b in zip(on.lights, off.lights, strict=True)]
-        gains = tuple(decide(each.headlight, own, u) for each, own, u in zip(self.modules, state.gains, means, strict=True))
+        gains = tuple(decide(each.headlight, own) for each, own in zip(self.modules, state.gains, strict=True))
         made = tuple(Compensation(each.headlight, own.gain) for each, own in zip(self.modules, gains, strict=True))
         return GainState(gains, made, pair.off.start_s)
 
     def _sight(self, image: Tensor, exposure: Exposure, ego: Ego | None) -> Sight:
         T_ground_body = attitude(ego)
-        poses = [T_ground_body @ each.T_world_module.double().cpu() for each in under(self.modules, exposure.commands)]
+        modules = under(self.modules, exposure.commands)
+        poses = [T_ground_body @ each.T_world_module.double().cpu() for each in modules]
         view = replace(self.view, T_world_view=T_ground_body @ self.view.T_world_view)
-        return Sight(image[:, :], view, poses, [each.u for each in exposure.lights])
+        return Sight(image[:, :], view, poses, [module.intensity * each.u for module, each in zip(modules, exposure.lights, strict=True)])

@@ -101,7 +101,7 @@ class Headlight(TexelGrid):
     def pixel_extent(self) -> tuple[int, int]:
         """Texels, vertical and horizontal, in which the middle pixel's light exceeds a tenth of its peak."""
         only = torch.zeros(self.n_pixels).to(self.matrix.values)
-        only[self.n_pixels // 2 + (self.pixel_cols or 0) // 2] = 1
+        only[self.pixel_rows // 2 * self.pixel_cols + self.pixel_cols // 2] = 1
         light = self.light_texture(only)
         up, aside = (int((light > light.max() / 10).any(dim).sum()) for dim in (1, 0))
         return up, aside

@@ -36,7 +36,7 @@ class SoilingParams(Params):
         light is scattered from soiled directions into soiled ones. Without absorption the image keeps its light, and an even one does not
         change.
         """
-        if self.coverage == 0:
+        if self.coverage == 0 or self.transmission == 1:
             return luminance
         height, width = luminance.shape[-2:]
         passing = self._map(height, width, 0).to(luminance)

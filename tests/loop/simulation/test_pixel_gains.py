@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from luxloop import Simulation, load, run
 from luxloop.controllers.pixels.compensation import Compensation
-from luxloop.perception.pixel_gains import PERIOD, WIDE, code, swing
+from luxloop.perception.pixel_gains import PERIOD, WIDE, PixelGains, code, decide, swing
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.description import load_lamp
 from tests.refusal import refusal
@@ -58,6 +58,15 @@ def test_new_lamps_have_no_worn_pixels():
     assert found(*STANDING, "disturbances.wear.dead_pixels=[]") == [[], []]
 
 
+def test_a_pixel_is_judged_by_the_light_that_it_had():
+    headlight, one = light(), torch.ones(84)
+    gains = PixelGains(1e4 * one, 1e4 * one, 0.5e4 * one, one, one)
+    gains.response[70] = 0.0
+    found = decide(headlight, gains)
+    assert torch.nonzero(found.worn)[:, 0].tolist() == [70]
+    assert bool((found.std[60:] < 0.15).all())
+
+
 def test_the_two_frames_of_a_step_have_the_mean_of_the_planned_light():
     coded = Simulation.prepare(load("worn_pixels", SMALL))
     first, second = coded.at(0).exposures
@@ -93,6 +102,8 @@ def test_the_recording_of_a_standing_car_lists_its_dead_pixels(tmp_path):
 def test_what_else_alternates_within_a_step_is_refused():
     with refusal("functions.symbol.controller: measures a symbol by frames with and without it"):
         load("snowflake", ["pixel_gains.swing=0.2"])
+    with refusal("lighting.power_limit: limits the planned light"):
+        load("worn_pixels", ["lighting.power_limit=0.5"])
     with refusal("headlight.rate_hz: the lamps draw anew within a frame"):
         load("worn_pixels", ["headlight.rate_hz=240", "camera.exposure_s=0.004"])
     with refusal("camera.exposure_s: 0.02 s is longer than half a control period"):

@@ -16,6 +16,10 @@ def test_spots_cover_their_share(coverage):
     assert float(passing.min()) == pytest.approx(0.25, abs=0.1)
 
 
+def test_spots_that_let_everything_through_change_nothing():
+    assert torch.equal(SoilingParams(coverage=0.5, transmission=1.0).through(SCENE), SCENE)
+
+
 @pytest.mark.parametrize("coverage", [0.1, 0.5, 1.0])
 def test_ice_scatters_what_it_takes(coverage):
     ice = SoilingParams(coverage=coverage, absorption=0.0)
