@@ -152,7 +152,7 @@ class TrackerParams(Params):
 
     kind: Literal["kalman"] = "kalman"
     start_score: float = Field(
-        0.65,
+        0.5,
         gt=0,
         lt=1,
         description="least score of a detection that starts a track and speaks for its existence; half of it continues one",
