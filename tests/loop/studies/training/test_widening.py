@@ -7,7 +7,9 @@ import torch
 from luxloop import validate
 from luxloop.loop.simulation.simulated import build_scene
 from luxloop.loop.studies.training.scenes import CLASSES, HELD_OUT, TRAINING, draw, tables
+from luxloop.loop.studies.training.train import mean_of
 from luxloop.loop.studies.training.widening import crowd, widen_scene
+from luxloop.perception.detection.network import Network
 from luxloop.world.roads.base import Road
 from luxloop.world.scene.body import Body
 
@@ -47,3 +49,11 @@ def test_scenes_that_judge_have_none_of_them(seed, tmp_path):
     names = [item.kind for item in scenario.all_objects]
     ids = np.unique(np.load(tmp_path / f"{seed}.npy")[4]) if draw(seed, str(tmp_path)) else ()
     assert max(ids) <= len(names)
+
+
+def test_the_mean_of_two_networks_has_the_mean_of_their_weights():
+    one, other = Network(4), Network(4)
+    mean = mean_of(one, other).state_dict()
+    for key, value in one.state_dict().items():
+        expected = (value + other.state_dict()[key]) / 2 if value.is_floating_point() else value
+        torch.testing.assert_close(mean[key], expected)
