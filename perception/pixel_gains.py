@@ -1,7 +1,7 @@
 """Gains of a lamp's pixels, estimated from what the camera sees of the own light on the road.
 
-In a pair of frames each pixel is brighter in one and darker in the other, by a code of its own. The ratio of both frames does not depend
-on the road's albedo and slope, and codes of neighbours average out, so that pixels are told apart that lie closer than their light is wide.
+In a pair of frames each pixel is brighter in one and darker in the other, by a code of its own. The ratio of both frames hardly
+depends on the road's albedo and slope, and the codes of neighbours are orthogonal, so that pixels are distinguished whose light overlaps.
 """
 
 import math
@@ -150,11 +150,11 @@ class GainEstimator:
         far = residual.square() / (OUTLIER**2 * spread * variance)
         weight = torch.where(valid, 1 / (variance * spread * (1 + far)), 0.0)
         return tuple(
-            self._with(k, each, (means[k], changes[k]), texel, torch.where(valid, factor / mean, 0.0), weight, residual)
+            self._update(k, each, (means[k], changes[k]), texel, torch.where(valid, factor / mean, 0.0), weight, residual)
             for k, (each, (texel, factor)) in enumerate(zip(gains, reach[0], strict=True))
         )
 
-    def _with(
+    def _update(
         self, k: int, gains: PixelGains, lights: tuple[Tensor, Tensor], texel: Tensor, share: Tensor, weight: Tensor, residual: Tensor
     ) -> PixelGains:
         """Gains with one pair. lights: mean utilisations and their changes `[n_p]`."""
@@ -214,14 +214,14 @@ def decide(headlight: Headlight, gains: PixelGains) -> PixelGains:
     new, transposed = headlight.light_texture(u).flatten(), headlight.matrix.transpose
     of_pixel = multiply(transposed, torch.ones_like(new)).clamp(min=1e-9)
     usable, gain = known & (u > 0), torch.ones_like(raw)
-    less = (nominal / _local_median(nominal.where(usable, torch.nan), headlight)).clamp(min=1)  # known than pixels around
+    noisier = (nominal / _local_median(nominal.where(usable, torch.nan), headlight)).clamp(min=1)  # than the pixels around
     for _ in range(ROUNDS):
         left = headlight.light_texture(gain * u).flatten() / new.clamp(min=1e-9)
         around = multiply(transposed, left.where(new > 0, 1.0)) / of_pixel
         good = raw * around
         relative = good / _local_median(good.where(usable, torch.nan), headlight).clamp(min=1e-3)
         scatter = 1.4826 * _local_median((relative - 1).abs().where(usable, torch.nan), headlight)
-        std = (scatter * less).maximum(nominal).where(usable, torch.nan).nan_to_num(torch.inf)
+        std = (scatter * noisier).maximum(nominal).where(usable, torch.nan).nan_to_num(torch.inf)
         worn = (std <= KNOWN) & (relative < WORN) & (1 - relative > SURE * std)
         gain = torch.where(worn, ((relative - DEAD) / (1 - DEAD)).clamp(0, 1), 1.0)
     return replace(gains, gain=gain, std=std)

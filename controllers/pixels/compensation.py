@@ -18,9 +18,8 @@ class Compensation:
     """Utilisations with which a worn module comes closest to the light of a new one. gains: `[n_p]`, light relative to new pixels."""
 
     def __init__(self, headlight: Headlight, gains: Tensor) -> None:
-        self._new = headlight.coarsen(TEXELS).matrix
-        self._worn = self._new.with_values(self._new.values * gains[self._new.indices])
-        self._gains = gains
+        coarse = headlight.coarsen(TEXELS)
+        self._new, self._worn, self._gains = coarse.matrix, coarse.dim(gains).matrix, gains
 
     def utilisation(self, u: Tensor) -> Tensor:
         """Utilisation `[n_p]` in place of u `[n_p]`; pixels that are off stay off, so that masks stay dark."""

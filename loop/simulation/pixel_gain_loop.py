@@ -50,8 +50,8 @@ class PixelGainLoop:
             shown = [each.utilisation(u) for each, u in zip(state.compensations, shown, strict=True)]
         codes = [code(each.headlight, k, step) for k, each in enumerate(self.modules)]
         pairs = [swing(u, signs, self.params.swing) for u, signs in zip(shown, codes, strict=True)]
-        first, second = zip(
-            *((Utilisation(a, each.band), Utilisation(b, each.band)) for (a, b), each in zip(pairs, planned, strict=True)), strict=True
+        first, second = (
+            tuple(Utilisation(u, each.band) for u, each in zip(lights, planned, strict=True)) for lights in zip(*pairs, strict=True)
         )
         return first, second
 
@@ -65,7 +65,7 @@ class PixelGainLoop:
         state = replace(state, gains=self.estimator.look(state.gains, on, off, way))
         if pair.off.start_s - state.updated_s < self.params.update_s:
             return state
-        gains = tuple(decide(each.headlight, own) for each, own in zip(self.modules, state.gains, strict=True))
+        gains = tuple(decide(each, own) for each, own in zip(self.estimator.headlights, state.gains, strict=True))
         made = tuple(Compensation(each.headlight, own.gain) for each, own in zip(self.modules, gains, strict=True))
         return GainState(gains, made, pair.off.start_s)
 

@@ -50,12 +50,12 @@ class SunParams(Params):
 
     @property
     def intensity_cd(self) -> float:
-        """Of a lamp at `SUN_M` of the same illuminance."""
+        """Luminous intensity of a lamp at `SUN_M` that gives the illuminance of the sun."""
         return self.illuminance_lx * SUN_M**2
 
     @property
     def diameter_m(self) -> float:
-        """Of such a lamp of the same apparent size."""
+        """Diameter of a lamp at `SUN_M` that has the angular diameter of the sun."""
         return 2 * SUN_M * math.tan(math.radians(SUN_DEG / 2))
 
 
