@@ -2,6 +2,7 @@
 
 import math
 from bisect import bisect_left
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal, Protocol, Self, runtime_checkable
@@ -102,7 +103,8 @@ class Situation:
     the road. symbols: the functions' images by name. seen: the last frame, None without a camera or before the first frame. lights: names
     and potential lights of the modules in their commanded turn and dimming. pitch_rad: measured pitch of the body relative to the road,
     nose down positive, 0 without a sensor. commands: turn and dimming of each module, empty if all are at rest. indicator: direction
-    indicator; `hazard` indicates both sides.
+    indicator; `hazard` indicates both sides. dark: by name of the objects that get light of their own, the share of their height, from the
+    top, that stays dark.
     """
 
     time_s: float
@@ -119,6 +121,7 @@ class Situation:
     pitch_rad: float = 0.0
     commands: Commands = ()
     indicator: Indicator = "off"
+    dark: Mapping[str, float] = field(default_factory=dict)
 
     def under(self, commands: Commands) -> "Situation":
         """The situation with commanded turns and dimming of the modules."""

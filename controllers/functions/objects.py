@@ -78,6 +78,8 @@ class GlareFreeParams(SelectionParams):
         distance = float((T[:3, 3] - lamps.to(T)).norm(dim=-1).amin())
         margin = self.margin_m + distance * math.tan(math.radians(self.margin_deg))
         low, high = extend_box(each, margin, lamps)
+        if each.name in now.dark:
+            low[2] = (1 - now.dark[each.name]) * each.size_m[2]
         mask, soft = cuboid(T, low, high), SOFT_MASK * LAYERS + LAYERS - 1
         if share == 1:
             probe = 1.0 if any(overlap(T, low, high, other, lamps) for other in others) else min((1 - each.confidence) / (1 - SURE), 1.0)
