@@ -104,7 +104,7 @@ class Situation:
     and potential lights of the modules in their commanded turn and dimming. pitch_rad: measured pitch of the body relative to the road,
     nose down positive, 0 without a sensor. commands: turn and dimming of each module, empty if all are at rest. indicator: direction
     indicator; `hazard` indicates both sides. dark: by name of the objects that get light of their own, the share of their height, from the
-    top, that stays dark.
+    top, that stays dark. rate_hz: of the control steps. seed: of what the car draws by lot.
     """
 
     time_s: float
@@ -122,6 +122,8 @@ class Situation:
     commands: Commands = ()
     indicator: Indicator = "off"
     dark: Mapping[str, float] = field(default_factory=dict)
+    rate_hz: float = 30.0
+    seed: int = 0
 
     def under(self, commands: Commands) -> "Situation":
         """The situation with commanded turns and dimming of the modules."""

@@ -8,6 +8,7 @@ from pydantic import Field, ValidationError, model_validator
 from torch import Tensor
 
 from luxloop.controllers.functions.animations import WHITE, AnimationParams, animate
+from luxloop.controllers.functions.carrier_sense import CarrierSenseParams, CarrierState, stretch_contrast
 from luxloop.controllers.geometry import Place, on_road
 from luxloop.controllers.pixels.homographies import drawing_rectangle
 from luxloop.controllers.pixels.primitives import Observer, Primitives
@@ -238,6 +239,9 @@ class PrimitiveParams(DrawingParams):
     width_m: Length = Field(2.0, description="extent across")
     length_m: Length = Field(4.0, description="extent along")
     animation: AnimationParams | None = Field(None, description="animation; left out: none but that of a video itself")
+    carrier_sense: CarrierSenseParams | None = Field(
+        None, description="draw only while the camera sees no other car draw there; left out: draw regardless"
+    )
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """One primitive; none while it is not active or its animation is off."""
@@ -247,8 +251,34 @@ class PrimitiveParams(DrawingParams):
         image = animate(source, self.animation, now.time_s - (self.start_s or 0.0))
         return () if image is None else (self.draw(self._place(now), image),)
 
+    @property
+    def adaptive(self) -> bool:
+        """Whether the function listens to other cars."""
+        return self.carrier_sense is not None
+
+    def start(self) -> CarrierState:
+        return CarrierState()
+
+    def step(self, state: CarrierState, now: Situation) -> CarrierState:
+        """The state after a frame."""
+        assert self.carrier_sense and now.seen
+        contrast = stretch_contrast(now.seen, self._pose(now), self.length_m, self.width_m)
+        return self.carrier_sense.step(state, now, contrast, self.active(now))
+
+    def adapted(self, state: CarrierState, now: Situation) -> tuple[Primitives, ...]:
+        """As `primitives`, in the own turn and not in its pauses."""
+        assert self.carrier_sense
+        return self.primitives(now) if self.carrier_sense.lights(state, now, now.time_s) else ()
+
+    def base_share(self, state: CarrierState) -> None:
+        """No demand on the base beam."""
+
+    def _pose(self, now: Situation) -> Tensor:
+        """Pose `[4, 4]` of the rectangle in the ground frame."""
+        place = pose_from_degrees((self.x_m, self.y_m, self.z_m), self.roll_deg, self.pitch_deg, self.yaw_deg)
+        return now.T_world_vehicle.double() @ place
+
     def _place(self, now: Situation) -> Place:
-        T = now.T_world_vehicle.double() @ pose_from_degrees((self.x_m, self.y_m, self.z_m), self.roll_deg, self.pitch_deg, self.yaw_deg)
-        ahead, left, out, centre = T[:3].unbind(-1)
+        ahead, left, out, centre = self._pose(now)[:3].unbind(-1)
         d1, d2 = -self.width_m * left, -self.length_m * ahead
         return Place(centre - (d1 + d2) / 2, d1, d2, out)

@@ -7,14 +7,16 @@ from typing import Any
 import pyarrow as pa
 import torch
 
+from luxloop.controllers.functions.carrier_sense import CarrierState
 from luxloop.controllers.functions.commands import MOVEMENTS, CommandParams
-from luxloop.controllers.functions.planner import Planner
+from luxloop.controllers.functions.planner import Planner, States
 from luxloop.loop.recording.checks import baselines
 from luxloop.loop.simulation.attribution import WHY
 from luxloop.loop.simulation.columns import AIM, CAUSES, CENTROIDS, CUT, ERRORS, LOOKING_OF_TRUTH, POSE, PROJECTION, SYMBOL, loss_name
 from luxloop.loop.simulation.evaluator import Evaluation, SymbolStep
 from luxloop.loop.simulation.lamps import ShiningModule
 from luxloop.loop.simulation.light_figures import quantities
+from luxloop.loop.simulation.meeting import Meeting, MeetingPlant
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.metrics import Metrics
 from luxloop.world.errors import LuxloopError, did_you_mean, locate
@@ -25,7 +27,7 @@ TYPES = {
     **dict.fromkeys(
         ("step", "primitives", "detections", "false_positives", "tracks", "pixels", "track", "known", "worn", *WHY), pa.int64()
     ),
-    **dict.fromkeys(("beam", "loss"), pa.string()),
+    **dict.fromkeys(("beam", "loss", "turn"), pa.string()),
     "masked": pa.bool_(),
 }
 # name: (unit, description)
@@ -110,6 +112,7 @@ PIXELS = {
     "known": ("1", "number of pixels whose gain is known: the road shows them, and the estimate has a standard deviation of at most 0.15"),
     "worn": ("1", "number of these that have lost light for sure"),
 }
+TURN = ("", "its turn with other cars on its stretch of road: idle (it need not draw), waits or draws")
 MATERIAL = {"lx": ("lx", "illuminance"), "luminance": ("cd/m^2", "luminance")}
 PROBE = ("lx", "illuminance from the lamps on this probe, a mean over the step; empty while its object does not exist")
 EYE = {
@@ -166,6 +169,8 @@ def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
         columns |= {f"probes.{name}.{key}": of for name in eyes for key, of in EYE.items()}
     zones = [name for name, function in simulation.scenario.functions.items() if function.kind == "zone"]
     columns |= {f"functions.{name}.{key}": of for name in zones for key, of in ZONE.items()}
+    other = simulation.plant.other.planner.start() if isinstance(simulation.plant, MeetingPlant) else None
+    columns |= dict.fromkeys(turns(simulation.planner.start(), other), TURN)
     for name, quantity in quantities(simulation.scenario.functions).items():
         unit, what = MATERIAL[quantity]
         columns |= {
@@ -188,6 +193,12 @@ def _moved(planner: Planner, modules: Sequence[ShiningModule]) -> list[tuple[str
     return [
         (module.name, movement) for module in modules for movement in MOVEMENTS if any(of(each, module, movement) for each in functions)
     ]
+
+
+def turns(functions: States, other: States | None) -> dict[str, str]:
+    """Turns of functions that sense a carrier, by column. functions: states. other: of the other car, None without one."""
+    own: dict[str, str] = {f"functions.{name}.turn": state.turn for name, state in functions.items() if isinstance(state, CarrierState)}
+    return own if other is None else own | {f"other_car.{name}": turn for name, turn in turns(other, None).items()}
 
 
 def row(result: Evaluation) -> dict[str, Any]:
@@ -225,6 +236,8 @@ def row(result: Evaluation) -> dict[str, Any]:
     if (state := result.control.gains) is not None:
         for (name, _), gains in zip(result.now.lights, state.gains, strict=True):
             values |= {f"pixels.{name}.{key}": int(which.sum()) for key, which in zip(PIXELS, (gains.known, gains.worn), strict=True)}
+    met = result.reception.plant
+    values |= turns(result.planning.functions, met.result.planning.functions if isinstance(met, Meeting) and met.result else None)
     values |= {f"rules.{rule}": len(failures) for rule, failures in result.rules.items()}
     values |= {f"probes.{name}.lx": lx for name, lx in result.probes.items()}
     for name, glare in result.glare.items():

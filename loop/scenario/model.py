@@ -32,7 +32,7 @@ from luxloop.perception.trackers import AnyTracker
 from luxloop.perception.tracking import TrackerParams
 from luxloop.world.errors import LuxloopError, did_you_mean, locate
 from luxloop.world.materials.library import RoadSurfaceParams, SpotParams
-from luxloop.world.params import NotNegative, Params, PlainName, Seed, ascending
+from luxloop.world.params import Degrees, Metres, NotNegative, Params, PlainName, Seed, ascending
 from luxloop.world.plugin import PATTERN, Name, colon_remedy, refuse_code
 from luxloop.world.regulation import beam_rules
 from luxloop.world.roads.shapes import Flat, RoadParams
@@ -45,6 +45,7 @@ from luxloop.world.validation import read_toml, validate_model
 
 SCHEMA_VERSION: Final = 1
 PIXEL_CONTROLLERS = ("ssc", "jpo")
+OTHER_SEED: Final = 2**62  # added to the seed for the other car
 
 
 class HeadlightParams(Params):
@@ -146,6 +147,15 @@ class RoadConditionParams(Params):
     street_lit: bool = Field(False, description="whether street lamps light the road")
 
 
+class OtherCarParams(Params):
+    """A second car, with the same lamps, camera and functions, which stands in the same night and draws other lots."""
+
+    x_m: Metres = Field(30.0, description="position of its lamps' middle ahead of the car")
+    y_m: Metres = Field(0.0, description="position of that to the left")
+    yaw_deg: Degrees = Field(180.0, description="its heading, to the left of the car's: 180 faces the car")
+    functions: Functions | None = Field(None, description="its lighting functions, by name; left out: those of the car")
+
+
 class Scenario(Params):
     """Everything that decides a run."""
 
@@ -174,6 +184,7 @@ class Scenario(Params):
     checks: Mapping[PlainName, CheckParams] = Field({}, description="bounds on columns of the recording, by name")
     disturbances: DisturbanceParams = Field(DisturbanceParams(), description="disturbances unknown to the controller")
     vehicle: VehicleParams | None = Field(None, description="the vehicle's motion; left out: it stands")
+    other_car: OtherCarParams | None = Field(None, description="a second car, whose light is in the frames; left out: none")
     sensors: SensorParams = Field(SensorParams(), description="sensors of the vehicle's motion")
     plant: Annotated[PlantParams, Field(description="shows the light and exposes the frames")] = SimulatedPlantParams()
     judge_every: int = Field(1, ge=0, le=100_000, description="steps from one evaluation of a symbol under control to the next; 0: none")
@@ -219,7 +230,7 @@ class Scenario(Params):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         for sentence in chain.from_iterable(
-            topic(self) for topic in (_lamps, _modules, _exposures, _gains, _projections, _observers, _detection, _probes, _names)
+            topic(self) for topic in (_lamps, _modules, _exposures, _gains, _projections, _observers, _detection, _probes, _names, _meeting)
         ):
             raise ValueError(sentence)
         return self
@@ -230,6 +241,13 @@ class Scenario(Params):
         if self.traffic is None:
             return self.objects
         return self.objects + (self.traffic.along(self.vehicle, self.steps / self.rate_hz) if self.vehicle else self.traffic.objects())
+
+    @property
+    def of_other_car(self) -> Self:
+        """The scenario of the other car, alone."""
+        other = self.other_car
+        functions = self.functions if other is None or other.functions is None else other.functions
+        return self.model_copy(update={"other_car": None, "functions": functions, "seed": (self.seed + OTHER_SEED) % 2**63})
 
     def conditions_at(self, time_s: float) -> RoadConditionParams:
         """Conditions at a time; before their start the first ones."""
@@ -432,6 +450,16 @@ def _names(scenario: Scenario) -> Iterator[str]:
     names = [each.name for each in scenario.all_objects]
     if doubled := [name for name in names if names.count(name) > 1]:
         yield f"objects: the name {doubled[0]!r} occurs twice, but recordings identify objects by name; rename one"
+
+
+def _meeting(scenario: Scenario) -> Iterator[str]:
+    """What a meeting of two cars excludes."""
+    if scenario.other_car is None:
+        return
+    if scenario.vehicle is not None or not isinstance(scenario.plant, SimulatedPlantParams) or scenario.digitised_module is not None:
+        yield "other_car: both cars stand, in the simulated world; leave vehicle, plant and digitised modules out"
+    if len(scenario.shares) > 1 or len(scenario.of_other_car.shares) > 1:
+        yield "other_car: both cars expose once a step; leave headlight.rate_hz, pixel_gains and controllers of symbols out"
 
 
 def object_names(function: Any) -> Iterator[tuple[str, str]]:

@@ -133,7 +133,7 @@ class SimulatedPlant:
 
     def samples(self, by_s: float, after_s: float | None = None) -> tuple[Sample, ...]:
         """Sensor samples of a moving vehicle that arrive after after_s, by by_s. after_s None: the newest of each sensor."""
-        if self.world.motion is STANDING:
+        if self.world.motion.stands:
             return ()
         sensors, like = Sensors(self.dynamics, self.sensors, self.period_s, self.seed), torch.empty(0, device=self.world.device)
         return sensors.newest(by_s, like) if after_s is None else sensors.arriving(after_s, by_s, like)

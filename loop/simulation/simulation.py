@@ -26,6 +26,7 @@ from luxloop.loop.simulation.controlled import ControlledSymbol, choose_measured
 from luxloop.loop.simulation.detection import DetectionPipeline
 from luxloop.loop.simulation.evaluator import Evaluation, Evaluator
 from luxloop.loop.simulation.lamps import LampDriver, Lights, ShiningModule, attitude, in_reach, mean_powers
+from luxloop.loop.simulation.meeting import meet
 from luxloop.loop.simulation.part_cache import PartCache
 from luxloop.loop.simulation.pixel_gain_loop import PixelGainLoop
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, ExposurePair, Objects, Plant, close_plant, pair_frames
@@ -51,6 +52,7 @@ from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.frames import View, inverse
 from luxloop.world.headlight.lamp import REST, Commands
 from luxloop.world.rendering.rasterise import check_process
+from luxloop.world.scene.vehicle import Motion
 
 SAME_S = 1e-6  # tolerance of equal times
 BEAMS: Mapping[Baseline, BeamName] = {"full_light": "full", "low_beam": "low"}
@@ -88,6 +90,10 @@ class Simulation:
         with locate(scenario.source):
             simulation = cls(scenario, device, cache=cache, **build(scenario, device, cache))
             simulation.planner.plan(simulation.situation(0.0))
+            if (there := scenario.other_car) is not None:
+                other = cls.prepare(scenario.of_other_car, device)
+                plant = world_plant(simulation.plant, "other_car")
+                simulation = replace(simulation, plant=meet(plant, other, Motion.standing(there.x_m, there.y_m, there.yaw_deg)))
         cache.end()
         return simulation
 
@@ -184,6 +190,8 @@ class Simulation:
             lights=lights,
             pitch_rad=-math.asin(float(T_ground_body[2, 0])),
             indicator=self.scenario.lighting.indicator,
+            rate_hz=self.scenario.rate_hz,
+            seed=self.scenario.seed,
         )
 
     def start(self, step: int = 0) -> SimulationState:

@@ -341,7 +341,7 @@ class World:
     ) -> None:
         self.scene, self.modules, self.camera, self.source = scene, tuple(modules), camera, source
         self.motion, self.metered, self.given = motion, metered, given
-        self.moving = motion is not STANDING or scene.moves
+        self.moving = scene.moves or not motion.stands
         self.view = camera_view(camera)
         self.device = self.modules[0].T_body_headlight.device
         self._lit: OrderedDict[Any, LitScene] = OrderedDict()

@@ -149,6 +149,16 @@ class Motion:
     modes: Floats = field(default_factory=lambda: np.zeros((1, 4)))
     of: tuple[VehicleParams, Road] | None = None
 
+    @classmethod
+    def standing(cls, x_m: float = 0.0, y_m: float = 0.0, yaw_deg: float = 0.0) -> Self:
+        """A vehicle that stands at a place on the world's plane z = 0."""
+        return cls(np.zeros(1), np.array([[x_m, y_m, math.radians(yaw_deg), *(0.0 for _ in COLUMNS[3:])]]))
+
+    @property
+    def stands(self) -> bool:
+        """Whether the vehicle stands throughout."""
+        return len(self.times_s) == 1
+
     @property
     def range_y_m(self) -> tuple[float, float]:
         """The course's least and greatest y in the world."""
@@ -174,7 +184,7 @@ class Motion:
         return VehicleState(T_world_level @ T_level_ground, T_ground_body, **now)
 
 
-STANDING: Final = Motion(np.zeros(1), np.zeros((1, len(COLUMNS))))
+STANDING: Final = Motion.standing()
 
 
 class VehiclePath(NamedTuple):

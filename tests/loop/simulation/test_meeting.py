@@ -1,0 +1,70 @@
+"""Two cars in one night: what each sees of the other's light, and that they agree by it."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+import luxloop
+from luxloop.loop.simulation.meeting import MeetingPlant
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.perception.camera import luminance_of
+from luxloop.world.frames import inverse
+from tests.refusal import refusal
+
+SMALL = ["camera={width_px=160, height_px=90}", "renderer='raycast'"]
+
+
+def prepare(*changes: str) -> Simulation:
+    return luxloop.prepare(luxloop.load("shared_stretch", [*SMALL, *changes]), "cpu")
+
+
+def frame(simulation: Simulation, *, other: bool = False) -> torch.Tensor:
+    """Luminance `[height, width]` in cd/m^2 of the first frame of a car."""
+    _, result = simulation.step(simulation.start())
+    image = (result.reception.plant.result if other else result).reception.frames[0].image
+    return luminance_of(image[:, :], simulation.scenario.camera).double()
+
+
+def test_of_two_alike_that_face_each_other_both_see_the_same():
+    """On a uniform road, up to a step of the digital numbers, 0.002 cd/m^2; behind the first car the road ends."""
+    both = prepare("camera.noise=false", "surface={grain=0.0}")
+    near = slice(50, None)
+    assert frame(both)[near].allclose(frame(both, other=True)[near], atol=0.004)
+
+
+@pytest.mark.parametrize("pose", [(30.0, 0.0, 180.0), (2.0, -5.0, 10.0)])
+def test_a_frame_is_the_sum_of_the_light_of_both(pose):
+    """The other car's light is that of its own world alone, in the eye of the first car."""
+    x, y, yaw = pose
+    met = prepare("camera.noise=false", f"other_car={{x_m={x}, y_m={y}, yaw_deg={yaw}}}")
+    alone, plant = prepare("camera.noise=false", "other_car={}"), met.plant
+    assert isinstance(plant, MeetingPlant)
+    first = alone.step(alone.start())[1].exposures[0]
+    world, lights = plant.other.world, plant.other.step(replace(plant.other.start(), plant=((), first)))[1].lights
+    seen = replace(met.view, T_world_view=inverse(world.motion.at(0.0).T_world_body) @ met.view.T_world_view)
+    added = world.through(seen, 0.0).light(lights)[1].double()
+    off = frame(met) - frame(alone) - added
+    assert float(added.max()) > 0.1
+    assert float(off.abs().mean()) < 0.02 * float(added.mean())
+
+
+def test_two_who_want_the_same_stretch_agree_and_a_run_records_it(tmp_path):
+    found = luxloop.run("shared_stretch", tmp_path / "run", overrides=[*SMALL, "steps=80"], video=False, report=False).trajectory
+    turns = [found[f"{car}functions.crossing.turn"].to_pylist() for car in ("", "other_car.")]
+    both, one = ([list(pair).count("draws") == n for pair in zip(*turns, strict=True)] for n in (2, 1))
+    assert turns[0][:31] == turns[1][:31] == ["idle"] * 31
+    assert sum(both) <= 16
+    assert all(one[47:70])
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("vehicle={course=[{speed_m_s=10.0}]}", "both cars stand"),
+        ("functions.held={kind='symbol', image='snowflake', controller={name='luxloop'}}", "expose once a step"),
+    ],
+)
+def test_what_a_meeting_excludes_is_refused(change, told):
+    with refusal(told):
+        luxloop.load("shared_stretch", [change])
