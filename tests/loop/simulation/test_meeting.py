@@ -55,12 +55,20 @@ def test_a_frame_is_the_sum_of_the_light_of_both(pose):
 def test_two_who_want_the_same_stretch_agree_and_a_run_records_it(tmp_path):
     """As the shipped example does. 16 steps are the worst of 60 seeds on an ideal road (`test_carrier_sense`)."""
     found = luxloop.run("shared_stretch", tmp_path / "run", overrides=[*SMALL, "steps=60"], video=False, report=False).trajectory
-    turns, frames = example("turns.py").run(0, [*SMALL, "steps=60"])
+    turns, lit, frames = example("turns.py").run(0, [*SMALL, "steps=60"])
     assert [found[f"{car}functions.crossing.turn"].to_pylist() for car in ("", "other_car.")] == turns.T.tolist()
-    assert (turns[:19] == "idle").all() and len(frames) == 60
+    assert (turns[:19] == "idle").all() and not lit[:19].any() and len(frames) == 60
     figures = example("turns.py").figures(turns)
     assert figures["steps to agreement"] <= 16
     assert figures["both draw"] <= 16 / 41
+
+
+def test_a_lone_car_draws_in_the_step_after_its_wish():
+    """In its own low beam, which falls on the stretch, too."""
+    alone = prepare("other_car={}", "steps=24")
+    lit = [bool(result.planning.drawn["crossing"]) for result in alone.run()]
+    assert not any(lit[:19])
+    assert sum(lit[19:]) >= 4
 
 
 def example(name: str) -> ModuleType:
