@@ -2,13 +2,15 @@
 
 Scenes of a population of traffic, through the whole chain: object light alone and beside the glare-free guard, glare-free high beam, and
 constant beams. Every other scene of the first has moving traffic; in every other one of the second the car drives at 5 to 20 m/s.
-`--detector` takes a kind, or a file of weights or of an ONNX network. Final scenes begin at 2,000,000 and 4,000,000; develop with
-`--first`. Goes on where an earlier run in the same folder was. Prints the tables of docs/results/object_based.md.
+`--detector` takes a kind, a file of weights or of an ONNX network, or a file of TOML with a detector's table. Final scenes begin at
+2,000,000 and 4,000,000; develop with `--first`. Goes on where an earlier run in the same folder was. Prints the tables of
+docs/results/object_based.md.
 """
 
 import hashlib
 import math
 import sys
+import tomllib
 from argparse import Namespace
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -69,7 +71,9 @@ def variants() -> dict[str, dict[str, Any]]:
 
 
 def detector(given: str) -> dict[str, Any]:
-    """The table of a kind, or of a file."""
+    """The table of a kind, of a file of weights or of an ONNX network, or in a file of TOML."""
+    if given.endswith(".toml"):
+        return tomllib.loads(Path(given).read_text())
     key = {".pt": ("network", "weights"), ".onnx": ("onnx", "file")}.get(Path(given).suffix)
     return {"kind": given} if key is None else {"kind": key[0], key[1]: str(Path(given).resolve())}
 

@@ -122,16 +122,12 @@ def _texture(body: Body, rng: Rng) -> Body:
     return replace(body, parts=tuple(parts), part_of_face=torch.from_numpy(of_face))
 
 
-def _join(body: Body, pieces: Sequence[Piece], looks: Looks) -> Body:
+def _join(body: Body, pieces: list[Piece], looks: Looks) -> Body:
     assert body.part_of_face is not None
-    vertices, faces, of_face = [np.array(body.mesh.vertices)], [np.array(body.mesh.faces)], [body.part_of_face]
-    for k, piece in enumerate(pieces):
-        faces.append(piece.faces + sum(map(len, vertices)))
-        vertices.append(piece.vertices)
-        of_face.append(torch.full((len(piece.faces),), len(body.parts) + k))
-    parts = tuple(Part(piece.part, looks[piece.part][1], looks[piece.part][0]) for piece in pieces)
-    mesh = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
-    return replace(body, mesh=mesh, parts=body.parts + parts, part_of_face=torch.cat(of_face))
+    mesh, names, of_face = join(pieces)
+    parts = tuple(Part(name, looks[name][1], looks[name][0]) for name in names)
+    of_both = torch.cat([body.part_of_face, torch.from_numpy(of_face) + len(body.parts)])
+    return replace(body, mesh=body.mesh + mesh, parts=body.parts + parts, part_of_face=of_both)
 
 
 def _cover(rng: Rng) -> tuple[MaterialName, float]:
