@@ -119,6 +119,7 @@ class LightParams(Params):
     ambient_lx: float = Field(0.3, ge=0, le=100_000, description="illuminance of a surface facing the sky")
     street_lamps: tuple[StreetLamp, ...] = Field((), description="point lights")
     sun: SunParams | None = Field(None, description="a low sun; left out: none")
+    interreflection: bool = Field(False, description="whether surfaces in the light of the lamps light the road and each other")
 
 
 class VideoParams(Params):

@@ -68,9 +68,8 @@ def build_scene(scenario: Scenario, motion: Motion = STANDING, cache: PartCache 
     else:
         others_y_m = tuple(y for each in objects for y in each.track.T_world_body[:, 1, 3].tolist())
         ground = cache("ground", RoadTiles, road, albedo, texture, motion.range_y_m, others_y_m, sight_m)
-    return cache(
-        "scene", Scene, (ground, *objects), scenario.light.ambient_lx, scenario.light.street_lamps, scenario.air, scenario.light.sun
-    )
+    light = scenario.light
+    return cache("scene", Scene, (ground, *objects), light.ambient_lx, light.street_lamps, scenario.air, light.sun, light.interreflection)
 
 
 def body_of(item: ObjectParams, road: Road) -> Body | Figure:

@@ -1,5 +1,6 @@
 """The simulated world: a scene, a vehicle with lamps and a camera, and the camera's view."""
 
+import math
 from collections import OrderedDict, deque
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +25,7 @@ from luxloop.world.light.backscatter import Backscatter
 from luxloop.world.light.drops import drop_luminance
 from luxloop.world.light.emitters import ambient_luminance, sun_luminance
 from luxloop.world.light.illumination import DirectTransport, LightTransport, Shadows, added_light, lit_surface, transport
+from luxloop.world.light.interreflection import Interpolation, Interreflection
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.rendering.raycast import sees
@@ -42,6 +44,7 @@ KEPT_MEDIA = 4  # before and after a change of air, and of the drops that are dr
 KEPT_PARTS = 2  # image parts of a scene: around the symbols, around objects
 KEPT_LIGHTS = 3  # exposures of a scene: on, off, and off without one symbol
 MARGIN_PX = 1  # around objects, because OpenGL rounds their corners
+DARK = Scene(())  # without light of its own
 A_PIXEL: Part = (slice(0, 1), slice(0, 1))
 
 
@@ -61,7 +64,8 @@ class LitScene:
 
     eye: the whole view. part: rows and columns of the whole view, None for all. render: renders the surfaces of a part of a view.
     samples: rendered rows in a pixel. direct: whether each light is traced separately instead of by a transport matrix. given:
-    parameters of the objects 1, 2, ... backscatter: of the lamps in the whole view, None in clear air.
+    parameters of the objects 1, 2, ... backscatter: of the lamps in the whole view, None in clear air. indirect: light that surfaces
+    reflect onto each other, None for none.
     """
 
     time_s: float
@@ -75,6 +79,7 @@ class LitScene:
     samples: int
     direct: bool
     backscatter: Backscatter | None = None
+    indirect: Interreflection | None = None
     part: Part | None = None
 
     def __post_init__(self) -> None:
@@ -147,17 +152,49 @@ class LitScene:
     def _shadows_of(self, *lamp_m: float) -> Shadows:
         return Shadows(self.rendered.position.flatten(1), torch.tensor(lamp_m, dtype=torch.float64), self.triangles)
 
+    def at(self, surfaces: GBuffer) -> "LitScene":
+        """The same light on other surfaces `[1, n]`, each traced separately."""
+        eye = replace(self.eye, width=surfaces.albedo.numel(), height=1)
+        return replace(self, eye=eye, render=lambda *_: surfaces, samples=1, part=None)
+
+    @cached_property
+    def _reflectors(self) -> "LitScene":
+        """The surfaces that light others."""
+        assert self.indirect is not None
+        return replace(self.at(self.indirect.gathering.surfaces), scene=DARK, indirect=None)
+
+    @cached_property
+    def _interpolation(self) -> Interpolation:
+        assert self.indirect is not None
+        return self.indirect.onto(self.surfaces)
+
+    def reflected(self, lights: Sequence[Utilisation], commands: Commands = ()) -> Tensor:
+        """Illuminance `[..., height, width]` in lx at pixel centres by other surfaces in the light of the lamps."""
+        assert self.indirect is not None
+        leaving = self._reflectors.shown(lights, commands).flatten(-2)
+        return self._interpolation(self.indirect.gathering.illuminance(leaving))
+
+    @cached_property
+    def _matt(self) -> Tensor:
+        """Luminance `[height, width]` in cd/m^2 of surfaces in 1 lx, as of matt ones, less what the air takes."""
+        haze = self.surfaces.haze
+        return self.surfaces.albedo / math.pi * (1.0 if haze is None else haze.transmittance)
+
     def shown(self, lights: Sequence[Utilisation], commands: Commands = (), rows: slice | None = None) -> Tensor:
         """Luminance `[..., height, width]` in cd/m^2 of all light but backscatter. lights: utilisations `[..., n_p]`, one a module. rows:
         None for all.
         """
         if all(light.band is not None and light.band.stop <= light.band.start for light in lights):
             return self.base if rows is None else self.base[rows]
-        if not commands:
-            return added_light(self.transports, lights, self.base, rows)
-        turned = tuple(self.transported(number, command) for number, command in enumerate(commands))
-        dimmed = tuple(Utilisation(command.intensity * each.u, each.band) for each, command in zip(lights, commands, strict=True))
-        return added_light(turned, dimmed, self.base, rows)
+        transports, dimmed = self.transports if not commands else (), lights
+        if commands:
+            transports = tuple(self.transported(number, command) for number, command in enumerate(commands))
+            dimmed = tuple(Utilisation(command.intensity * each.u, each.band) for each, command in zip(lights, commands, strict=True))
+        direct = added_light(transports, dimmed, self.base, rows)
+        if self.indirect is None:
+            return direct
+        added = self.reflected(lights, commands) * self._matt
+        return direct + (added if rows is None else added[..., rows, :])
 
     def find_exposure(self, lights: tuple[Utilisation, ...], commands: Commands) -> Photometry | None:
         """Cached illuminance and luminance of a recent exposure, else None."""
@@ -176,7 +213,8 @@ class LitScene:
 
     def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
         """Luminance `[..., height, width]` in cd/m^2 of these lights alone, with all modules at rest."""
-        return added_light(self.transports, lights, torch.zeros_like(self.base))
+        direct = added_light(self.transports, lights, torch.zeros_like(self.base))
+        return direct if self.indirect is None else direct + self.reflected(lights) * self._matt
 
     def through_clear_air(self, luminance: Tensor) -> Tensor:
         """Luminance `[..., height, width]` of surfaces in the lamps' light, as it would be without extinction from lamps and to the eye."""
@@ -202,7 +240,11 @@ class LitScene:
             pixels = each.pixel(samples)
             leaving.index_add_(0, pixels, each.reflect(lx, factor))
             arriving.index_add_(0, pixels, lx * each.central(samples))
-        return arriving.view_as(self.surfaces.albedo), leaving.view_as(self.surfaces.albedo)
+        arriving, leaving = (each.view_as(self.surfaces.albedo) for each in (arriving, leaving))
+        if self.indirect is None:
+            return arriving, leaving
+        reflected = self.reflected([Utilisation(u) for u in lights], commands)
+        return arriving + reflected, leaving + reflected * self._matt
 
     def backscattered(self, lights: Sequence[Utilisation], commands: Commands = (), part: Part | None = None) -> Tensor | float:
         """Luminance `[..., h, w]` in cd/m^2 of the lamps' light in the air, at a part of the whole view, None for all; 0.0 without any."""
@@ -423,9 +465,7 @@ class World:
         if (known := seen.find_exposure(lights, commands)) and known[0] is not None:
             lx = known[0].flatten()[pixels]
         else:
-            eye = replace(lit.eye, width=len(pixels), height=1)
-            alone = replace(lit, eye=eye, render=lambda *_: surfaces, samples=1, direct=True)
-            lx = alone.light([light.u for light in lights], commands)[0][0]
+            lx = replace(lit.at(surfaces), direct=True).light([light.u for light in lights], commands)[0][0]
         return ObjectLight(surfaces.object_id[0], part_mask(surfaces, lit.triangles, EYES)[0], lx)
 
     def added(self, time_s: float, lights: tuple[Utilisation, ...], others: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
@@ -452,7 +492,9 @@ class World:
             self._triangles = triangles = self.scene.at(t_s, vehicle.T_world_ground, self._triangles)
             eye, render, parts = self.view_at(t_s), self.surfaces.gbuffer, (self.scene, self.modules, self.given)
             backscatter = None if medium is None else self._backscatter(medium)
-            self._lit[key] = LitScene(t_s, eye, vehicle, triangles, render, *parts, self.camera.oversampling, direct, backscatter)
+            indirect = Interreflection(triangles, eye) if self.scene.interreflection else None
+            how = self.camera.oversampling, direct, backscatter, indirect
+            self._lit[key] = LitScene(t_s, eye, vehicle, triangles, render, *parts, *how)
             if len(self._lit) > KEPT_VIEWS:
                 self._lit.popitem(last=False)
         self._lit.move_to_end(key)
@@ -482,4 +524,5 @@ class World:
         eye = replace(view, T_world_view=self.motion.at(t_s).T_world_ground @ view.T_world_view)
         from_body = replace(eye, T_world_view=inverse(lit.vehicle.T_world_body) @ eye.T_world_view)
         backscatter = lit.backscatter and Backscatter(lit.backscatter.medium, from_body)
-        return replace(lit, eye=eye, samples=1, direct=True, backscatter=backscatter)
+        indirect = lit.indirect and Interreflection(lit.triangles, eye)
+        return replace(lit, eye=eye, samples=1, direct=True, backscatter=backscatter, indirect=indirect)

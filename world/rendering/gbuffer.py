@@ -1,6 +1,6 @@
 """G-buffer: the surface at each pixel of a view."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import torch
@@ -11,7 +11,7 @@ from luxloop.world.materials.brdf import LAMBERTIAN, Material
 from luxloop.world.materials.library import MATERIALS
 from luxloop.world.rendering.raycast import hits_on
 from luxloop.world.scene.air import Medium
-from luxloop.world.scene.triangles import Instance, Triangles
+from luxloop.world.scene.triangles import Hits, Instance, Triangles
 
 
 @dataclass(frozen=True)
@@ -87,14 +87,19 @@ def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:
 
 def along(triangles: Triangles, origin: Tensor, rays: Tensor, face_ids: Tensor) -> GBuffer:
     """Intersect rays `[3, height, width]` of any length from an origin `[3]` m with their faces `[height, width]`, as `gbuffer` does."""
-    n, directions = face_ids.numel(), rays.flatten(1)
+    return surfaces_of(triangles, hits_on(triangles, face_ids.flatten(), origin, rays.flatten(1)), origin, rays)
+
+
+def surfaces_of(triangles: Triangles, found: Iterable[Hits], origin: Tensor, rays: Tensor) -> GBuffer:
+    """The surfaces that rays `[3, height, width]` meet. origin: `[3]` m, or `[3, height * width]`, one a ray."""
+    n, directions, origins = rays[0].numel(), rays.flatten(1), origin.view(3, -1)
     position, normal, albedo = torch.zeros(3, n), torch.zeros(3, n), torch.zeros(n)
     object_id, material = torch.full((n,), -1, dtype=torch.int32), torch.zeros(n, dtype=torch.int64)
     part = torch.zeros(n, dtype=torch.int32) if any(placed.body.parts for placed in triangles.placed) else None
     numbers = {LAMBERTIAN: 0}  # of the materials in sight
-    for hits in hits_on(triangles, face_ids.flatten(), origin, directions):
+    for hits in found:
         placed, pixels = hits.placed, hits.pixels
-        points = origin[:, None] + directions[:, pixels] * hits.depth
+        points = (origins if origins.shape[1] == 1 else origins[:, pixels]) + directions[:, pixels] * hits.depth
         position[:, pixels] = points.float()
         normals = _normals(placed.corner_normals.index_select(0, hits.faces), hits.barycentric.float())
         normal[:, pixels] = torch.where(hits.front, normals, -normals) if placed.body.two_sided else normals
@@ -102,7 +107,7 @@ def along(triangles: Triangles, origin: Tensor, rays: Tensor, face_ids: Tensor) 
             part[pixels] = placed.body.part_of_face[hits.faces].int()
         albedo[pixels], material[pixels] = reflection(placed, points, numbers, None if part is None else part[pixels])
         object_id[pixels] = placed.object_id
-    shape = face_ids.shape
+    shape = rays.shape[1:]
     finish = Finish(tuple(numbers), material.view(shape), origin) if len(numbers) > 1 else None
     seen_part = None if part is None else part.view(shape)
     return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape), finish, seen_part)

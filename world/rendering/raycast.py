@@ -102,6 +102,15 @@ def hits_on(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: 
         yield replace(hits, pixels=pixels[hits.pixels])
 
 
+def surfaces_met(triangles: Triangles, origins: Tensor, directions: Tensor) -> Iterator[Hits]:
+    """The first faces that rays `[3, N]` from their own origins `[3, N]` m meet, at the faces' middles in barycentric coordinates."""
+    face_ids, depth, _ = _cast(triangles, origins, directions, torch.tensor([torch.inf]))
+    for first, placed in triangles.parts():
+        rays = torch.nonzero((face_ids >= first) & (face_ids < first + placed.n_faces))[:, 0]
+        middle, front = torch.full((3, len(rays)), 1 / 3, dtype=torch.float64), torch.ones(len(rays), dtype=torch.bool)
+        yield Hits(placed, rays, face_ids[rays] - first, depth[rays], middle, front)
+
+
 def depths(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: Tensor) -> Tensor:
     """Depth `[N]` float64 at which rays meet their faces, in lengths of their directions; infinite where there is none."""
     depth = torch.full(face_ids.shape, torch.inf, dtype=torch.float64)
@@ -139,7 +148,7 @@ def sees(triangles: Triangles, eye: Tensor, points: Tensor, tolerance_m: float =
 def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """First faces, as `first_hits`, depths `[N]` float64 in lengths of the directions, and those lengths `[N]` across the face in m.
 
-    farthest: `[N]` or `[1]` such lengths; faces that lie deeper need not be found.
+    origin: `[3]` or `[3, N]` m. farthest: `[N]` or `[1]` such lengths; faces that lie deeper need not be found.
     """
     nearest = torch.full((directions.shape[1],), -1)
     depth = torch.full((directions.shape[1],), torch.inf, dtype=torch.float64)
@@ -147,7 +156,7 @@ def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: Te
     origin, directions, first = origin.double(), directions.double(), 0
     for group in triangles.groups:
         mesh, T_mesh_world = group.embree
-        local_origin = T_mesh_world[:3, :3] @ origin + T_mesh_world[:3, 3]
+        local_origin = T_mesh_world[:3, :3] @ origin + T_mesh_world[:3, 3].view(3, *[1] * (origin.dim() - 1))
         local = T_mesh_world[:3, :3] @ directions
         limits = torch.minimum(farthest, (depth * SPARE).float())
         rays, faces, depths, acrosses = mesh.cast(local_origin, local, limits)

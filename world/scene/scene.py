@@ -62,7 +62,7 @@ class SunParams(Params):
 @dataclass(frozen=True, eq=False)
 class Scene:
     """A scene. bodies: the road first; their order gives the object ids. ambient_lx: illuminance of a surface facing up by an overcast
-    sky. air: fog, rain and snow over time, in ascending time; empty for clear air.
+    sky. air: fog, rain and snow over time, in ascending time; empty for clear air. interreflection: whether surfaces light each other.
     """
 
     bodies: tuple[Body | Ground | Figure, ...]
@@ -70,6 +70,7 @@ class Scene:
     street_lamps: tuple[StreetLamp, ...] = ()
     air: tuple[AirParams, ...] = ()
     sun: SunParams | None = None
+    interreflection: bool = False
 
     @property
     def objects(self) -> tuple[Body | Figure, ...]:

@@ -178,6 +178,7 @@ def refuse_scenario(scenario: Scenario, otherwise: str = ONE_BY_ONE) -> None:
         f"{key}.weight: batches draw with weight 1": symbol.weight != 1,
         "batches do not support disturbances.oncoming": scenario.disturbances.oncoming,
         "batches do not support disturbances.lens": scenario.disturbances.lens,
+        "batches do not support light.interreflection": scenario.light.interreflection,
         "batches are in clear air": scenario.air or symbol.extraction.visibility_m,
         f"batches need the simulated plant, not {scenario.plant.kind}": not isinstance(scenario.plant, SimulatedPlantParams),
         "batches are for scenes in which nothing moves": scenario.vehicle is not None,

@@ -1,0 +1,63 @@
+"""Light that surfaces reflect onto each other, in the camera's frames and on objects."""
+
+import pytest
+import torch
+
+from luxloop import Simulation
+from luxloop.controllers.pixels.ssc import Utilisation
+from tests.loop.conftest import simulated, van
+
+STREET = """
+name = "street"
+steps = 3
+rate_hz = 5
+renderer = "raycast"
+headlight.model = "hd84"
+camera = { width_px = 320, height_px = 180, noise = false }
+surface.grain = 0.0
+lighting.base.beam = "high"
+"""
+KEY = "light.interreflection=true"
+WALL = {"kind": "box", "name": "wall", "size_m": [16.0, 0.3, 3.0], "albedo": 0.6, "track": [{"position_m": [14.0, 3.0, 0.0]}]}
+VAN = van((24.0, 0.0, 180.0), (23.0, 0.0, 180.0))
+
+
+def lights(simulation: Simulation) -> tuple[Utilisation, ...]:
+    return simulation.step(simulation.start())[1].exposures[0].lights
+
+
+def test_without_bodies_no_bit_changes():
+    plain, keyed = (simulated(STREET, *each) for each in ((), (KEY,)))
+    shown = lights(plain)
+    assert plain.world.luminance(0.0, shown)[0].equal(keyed.world.luminance(0.0, shown)[0])
+    assert plain.world.illuminance(0.0, shown).equal(keyed.world.illuminance(0.0, shown))
+
+
+@pytest.mark.parametrize("objects", [[WALL], [WALL, VAN]])
+def test_a_wall_lights_the_road(objects):
+    """Whether its world stands, with light as matrices, or moves, with light that is traced; twice the light gives twice the bounce."""
+    plain, keyed = (simulated(STREET, *each, objects=objects) for each in ((), (KEY,)))
+    shown = lights(plain)
+    lit, dark = keyed.world.lit(0.0), plain.world.lit(0.0)
+    added = lit.shown(shown) - dark.shown(shown)
+    wall, road = (lit.surfaces.object_id == number for number in (1, 0))
+    assert float(added.min()) > -1e-5 and float(added[road].max()) > 0.05 and float(added[wall].max()) > 0.01
+    half = tuple(Utilisation(each.u / 2) for each in shown)
+    torch.testing.assert_close(2 * lit.reflected(half), lit.reflected(shown), rtol=1e-4, atol=1e-6)
+    traced = keyed.world.lit(0.0, direct=True).reflected(shown)
+    torch.testing.assert_close(lit.reflected(shown), traced, rtol=1e-3, atol=1e-4)
+    lx, _ = keyed.world.lit(0.0, direct=True).light([each.u for each in shown])
+    without, _ = plain.world.lit(0.0, direct=True).light([each.u for each in shown])
+    assert (lx - without).sub(traced).abs().max() < 1e-4
+
+
+def test_parts_and_objects_have_the_light_of_the_whole():
+    keyed = simulated(STREET, KEY, objects=[WALL, VAN])
+    shown, part = lights(keyed), (slice(60, 120), slice(40, 200))
+    keyed.world.after(None)
+    whole = keyed.world.lit(0.0)
+    alone = whole.within(part)
+    assert alone.expose(shown, (), False)[1].equal(whole.expose(shown, (), False)[1][part])
+    on_objects = keyed.world.on_objects(0.0, shown)
+    lx = keyed.world.lit(0.0, direct=True).light([each.u for each in shown])[0]
+    torch.testing.assert_close(on_objects.lx, lx[whole.surfaces.object_id > 0], rtol=1e-5, atol=1e-6)
