@@ -25,7 +25,7 @@ from luxloop.world.light.backscatter import Backscatter
 from luxloop.world.light.drops import drop_luminance
 from luxloop.world.light.emitters import ambient_luminance, sun_luminance
 from luxloop.world.light.illumination import DirectTransport, LightTransport, Shadows, added_light, lit_surface, transport
-from luxloop.world.light.interreflection import Interpolation, Interreflection
+from luxloop.world.light.interreflection import Gathering, Interpolation, Interreflection
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.rendering.raycast import sees
@@ -122,7 +122,8 @@ class LitScene:
     def base(self) -> Tensor:
         """Luminance `[height, width]` in cd/m^2 without the lamps, of surfaces and air."""
         scene = self.scene
-        lit = ambient_luminance(self.rendered, scene.ambient_lx, scene.street_lamps, scene.spotlights_at(self.time_s))
+        spotlights = scene.spotlights_at(self.time_s)
+        lit = ambient_luminance(self.rendered, scene.ambient_lx, scene.street_lamps, spotlights, scene.interreflection)
         if scene.sun is not None:
             lit = lit + sun_luminance(self.rendered, scene.sun, self.triangles, self.eye.origin)
         return average_rows(lit, self.samples)
@@ -158,10 +159,14 @@ class LitScene:
         return replace(self, eye=eye, render=lambda *_: surfaces, samples=1, part=None)
 
     @cached_property
-    def _reflectors(self) -> "LitScene":
-        """The surfaces that light others."""
+    def _reflectors(self) -> tuple[tuple[Gathering, "LitScene", slice], ...]:
+        """Surfaces that light others, and the modules that light them."""
         assert self.indirect is not None
-        return replace(self.at(self.indirect.gathering.surfaces), scene=DARK, indirect=None)
+        found = list[tuple[Gathering, LitScene, slice]]()
+        for number, each in enumerate(self.indirect.gatherings):
+            some = slice(number - 1, number) if number else slice(None)
+            found.append((each, replace(self.at(each.surfaces), scene=DARK, indirect=None, modules=self.modules[some]), some))
+        return tuple(found)
 
     @cached_property
     def _interpolation(self) -> Interpolation:
@@ -171,8 +176,10 @@ class LitScene:
     def reflected(self, lights: Sequence[Utilisation], commands: Commands = ()) -> Tensor:
         """Illuminance `[..., height, width]` in lx at pixel centres by other surfaces in the light of the lamps."""
         assert self.indirect is not None
-        leaving = self._reflectors.shown(lights, commands).flatten(-2)
-        return self._interpolation(self.indirect.gathering.illuminance(leaving))
+        n_points = self.indirect.points[0].shape[1]
+        return self._interpolation(
+            sum(each.illuminance(lit.shown(lights[some], commands[some]).flatten(-2), n_points) for each, lit, some in self._reflectors)
+        )
 
     @cached_property
     def _matt(self) -> Tensor:
@@ -492,13 +499,17 @@ class World:
             self._triangles = triangles = self.scene.at(t_s, vehicle.T_world_ground, self._triangles)
             eye, render, parts = self.view_at(t_s), self.surfaces.gbuffer, (self.scene, self.modules, self.given)
             backscatter = None if medium is None else self._backscatter(medium)
-            indirect = Interreflection(triangles, eye) if self.scene.interreflection else None
+            indirect = Interreflection(triangles, eye, self._lamps_m(vehicle)) if self.scene.interreflection else None
             how = self.camera.oversampling, direct, backscatter, indirect
             self._lit[key] = LitScene(t_s, eye, vehicle, triangles, render, *parts, *how)
             if len(self._lit) > KEPT_VIEWS:
                 self._lit.popitem(last=False)
         self._lit.move_to_end(key)
         return self._lit[key]
+
+    def _lamps_m(self, vehicle: VehicleState) -> Tensor:
+        """Places `[n, 3]` of the modules in the world."""
+        return torch.stack([vehicle.T_world_body @ each.T_body_headlight.double().cpu() for each in self.modules])[:, :3, 3]
 
     def _backscatter_of(self, medium: Medium) -> Backscatter:
         return Backscatter(medium, self.view)
@@ -524,5 +535,5 @@ class World:
         eye = replace(view, T_world_view=self.motion.at(t_s).T_world_ground @ view.T_world_view)
         from_body = replace(eye, T_world_view=inverse(lit.vehicle.T_world_body) @ eye.T_world_view)
         backscatter = lit.backscatter and Backscatter(lit.backscatter.medium, from_body)
-        indirect = lit.indirect and Interreflection(lit.triangles, eye)
+        indirect = lit.indirect and Interreflection(lit.triangles, eye, self._lamps_m(lit.vehicle))
         return replace(lit, eye=eye, samples=1, direct=True, backscatter=backscatter, indirect=indirect)

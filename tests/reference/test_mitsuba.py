@@ -252,9 +252,9 @@ def test_one_more_bounce_agrees_with_a_path_tracer(mi, tmp_path):
         light[depth] = np.array(mi.render(mi.load_dict(scene)))[..., 0] * math.pi
     triangles = Scene((road, wall)).at(0.0)
     seen = gbuffer(triangles, view, face_source().face_ids(triangles, view))
-    indirect = Interreflection(triangles, view)
-    _, leaving = surface_light(indirect.gathering.surfaces, [Source(wide, texture, T)], triangles)
-    ours = indirect.onto(seen)(indirect.gathering.illuminance(leaving[0])).numpy()
+    indirect = Interreflection(triangles, view, torch.zeros(0, 3))
+    _, leaving = surface_light(indirect.gatherings[0].surfaces, [Source(wide, texture, T)], triangles)
+    ours = indirect.onto(seen)(indirect.gatherings[0].illuminance(leaving[0], indirect.points[0].shape[1])).numpy()
     theirs, direct = ((each / np.where(seen.albedo > 0, seen.albedo, 1)) for each in (light[3] - light[2], light[2]))
     for number in (0, 1):
         mask = seen.object_id.numpy() == number

@@ -19,9 +19,15 @@ from luxloop.world.scene.triangles import Triangles
 
 
 def ambient_luminance(
-    gbuffer: GBuffer, ambient_lx: float, street_lamps: Sequence[StreetLamp] = (), spotlights: Sequence[Spotlight] = ()
+    gbuffer: GBuffer,
+    ambient_lx: float,
+    street_lamps: Sequence[StreetLamp] = (),
+    spotlights: Sequence[Spotlight] = (),
+    glossy: bool = False,
 ) -> Tensor:
     """Luminance `[height, width]` in cd/m^2 of Lambertian surfaces in ambient light, plus that of luminous ones, and of the air.
+
+    glossy: whether surfaces also have the gloss and retroreflection of their materials in the light of street lamps and spotlights.
 
     ambient_lx: illuminance of a surface that faces up, also in fog; others see the share (1 + n_z) / 2 of a uniform sky. Street lamps and
     spotlights (of the world, `[3]` vectors) throw no shadows and do not light the air.
@@ -32,12 +38,15 @@ def ambient_luminance(
     illuminance, haze = ambient_lx * (1 + normal[2]) / 2, gbuffer.haze
     for lamp in street_lamps:
         away = torch.tensor(lamp.position_m).to(position)[:, None] - position
-        illuminance = illuminance + lamp.intensity_cd * _lux_per_cd(away, normal, haze)
+        factor = _lux_per_cd(away, normal, haze)
+        illuminance = illuminance + lamp.intensity_cd * (_gloss(gbuffer, there, away) * factor if glossy else factor)
     for spot in spotlights:
         away = spot.position.to(position)[:, None] - position
         factor = _lux_per_cd(away, normal, haze)
         lit = torch.nonzero(factor)[:, 0]  # what faces the lamp
-        illuminance.index_add_(0, lit, spot_intensity(spot, away.index_select(1, lit).neg_()) * factor[lit])
+        away, factor = away.index_select(1, lit), factor[lit]
+        factor = _gloss(gbuffer, there[lit], away) * factor if glossy else factor
+        illuminance.index_add_(0, lit, spot_intensity(spot, away.neg_()) * factor)
     reflected = albedo[there] * illuminance / math.pi
     luminance = torch.zeros_like(albedo).index_copy(0, there, reflected).view_as(gbuffer.albedo)
     if gbuffer.finish is not None:
@@ -46,6 +55,11 @@ def ambient_luminance(
     if haze is None:
         return luminance
     return haze.transmittance * luminance + (1 - haze.transmittance) * haze.medium.horizon(ambient_lx)
+
+
+def _gloss(gbuffer: GBuffer, index: Tensor, away: Tensor) -> Tensor:
+    """Luminance of pixels at flat index `[M]`, lit from `away` `[3, M]` m, as a multiple of that of a matt surface of their albedo."""
+    return luminance_factors(gbuffer, index, away) / gbuffer.albedo.flatten()[index]
 
 
 def sun_luminance(gbuffer: GBuffer, sun: SunParams, triangles: Triangles | None = None, eye: Tensor | None = None) -> Tensor:

@@ -90,14 +90,15 @@ def luminance_factors(gbuffer: GBuffer, index: Tensor, away: Tensor) -> Tensor:
     if gbuffer.finish is None:
         return factor
     position, normal, material = gbuffer.position.flatten(1), gbuffer.normal.flatten(1), gbuffer.finish.material.flatten()[index]
+    eye = gbuffer.finish.eye.view(3, -1)
     for number, each in enumerate(gbuffer.finish.materials):
         part = torch.nonzero(material == number)[:, 0]
         if each.lambertian or not len(part):
             continue
         pixel = index[part]
-        to_eye = gbuffer.finish.eye[:, None].to(position) - position[:, pixel]
+        to_eye = (eye if eye.shape[1] == 1 else eye[:, pixel]).to(position) - position[:, pixel]
         to_lamp, to_eye = (unit(ray) for ray in (away[:, part], to_eye))
-        factor[part] = luminance_factor(each, factor[part], normal[:, pixel], to_lamp, to_eye)
+        factor[part] = luminance_factor(each, factor[part], normal[:, pixel], to_lamp, to_eye, gbuffer.finish.lobes)
     return factor
 
 

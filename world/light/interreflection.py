@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from luxloop.world.frames import View, inverse, pose, transform, unit
+from luxloop.world.materials.brdf import Material
 from luxloop.world.rendering.gbuffer import GBuffer, surfaces_of
 from luxloop.world.rendering.raycast import surfaces_met
 from luxloop.world.scene.triangles import Instance, Triangles
@@ -21,6 +22,8 @@ from luxloop.world.texels import resample
 CELL_M: Final = 1.0  # distance of points
 RAYS: Final = 256  # of a point
 OFF_M: Final = 0.01  # of points before their surface
+ALONG, ACROSS = 16, 6  # rays of a point and a lamp
+STEEP: Final = 0.3  # of a height, up to which glitter is sought below an eye or lamp
 REACH: Final = 2.0  # of a body's light on the road, in roots of its largest side's area; there it fills about 1 % of the road's sky
 FAR_M: Final = 60.0  # from the eye, up to which the road has points
 ABOVE_M: Final = 1000.0  # from where heights of the road are sounded
@@ -60,23 +63,22 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Gathering:
-    """What rays from N points meet. surfaces: `[1, H]`, matt. point: `[H]` int64, whose ray it is. weight: `[H]` sr, its solid angle times
-    the cosine at the point. n_points: N.
+    """What rays from points meet. surfaces: `[1, H]`. point: `[H]` int64, whose ray it is. weight: `[H]` sr, its solid angle times the
+    cosine at the point.
     """
 
     surfaces: GBuffer
     point: Tensor
     weight: Tensor
-    n_points: int
 
-    def illuminance(self, luminance: Tensor) -> Tensor:
-        """Illuminance `[..., N]` in lx of the points by surfaces of luminance `[..., H]` in cd/m^2."""
-        total = luminance.new_zeros(*luminance.shape[:-1], self.n_points)
+    def illuminance(self, luminance: Tensor, n_points: int) -> Tensor:
+        """Illuminance `[..., n_points]` in lx of the points by surfaces of luminance `[..., H]` in cd/m^2."""
+        total = luminance.new_zeros(*luminance.shape[:-1], n_points)
         return total.index_add_(-1, self.point.to(total.device), luminance * self.weight.to(luminance))
 
 
 def gather(triangles: Triangles, points: Tensor, normals: Tensor) -> Gathering:
-    """What rays meet from points `[3, N]` m into the hemispheres around their normals `[3, N]`, float64."""
+    """The matt light that arrives at points `[3, N]` m within the hemispheres around their normals `[3, N]`, float64."""
     number = torch.arange(RAYS, dtype=torch.float64)
     height, angle = (number + 0.5) / RAYS, GOLDEN * number  # even in solid angle, as walls and bodies light from low
     radius = (1 - height.square()).sqrt()
@@ -85,26 +87,61 @@ def gather(triangles: Triangles, points: Tensor, normals: Tensor) -> Gathering:
     frame = torch.stack([x, torch.linalg.cross(normals, x, dim=0), normals], 1)  # [3, 3 axes, N]
     turned = angle + 2 * math.pi * (points.new_tensor(R3) @ points)[:, None]  # [N, RAYS]
     local = torch.stack([radius * turned.cos(), radius * turned.sin(), height.expand_as(turned)])
-    directions = torch.einsum("ian,ank->ink", frame, local).flatten(1)
-    origins = points.repeat_interleave(RAYS, 1)
+    directions = torch.einsum("ian,ank->ink", frame, local)
+    return _met(triangles, points, directions, (2 * math.pi / RAYS * height).expand_as(turned), lobes=False)
+
+
+def _met(triangles: Triangles, points: Tensor, directions: Tensor, weight: Tensor, lobes: bool) -> Gathering:
+    """What rays `[3, N, K]` from points `[3, N]` meet. weight: `[N, K]`."""
+    k = weight.shape[1]
+    origins, directions = points.repeat_interleave(k, 1), directions.flatten(1)
     met = surfaces_of(triangles, surfaces_met(triangles, origins, directions), origins, directions[:, None])
     index = torch.nonzero(met.object_id[0] >= 0)[:, 0]
-    surfaces = replace(met.at(index), finish=None)
+    surfaces = met.at(index)
     behind = (surfaces.normal * directions[:, None, index].to(surfaces.normal)).sum(0) > 0
-    surfaces = replace(surfaces, normal=surfaces.normal.where(~behind, -surfaces.normal))
-    return Gathering(surfaces, index // RAYS, (2 * math.pi / RAYS * height[index % RAYS]).float(), points.shape[1])
+    if (finish := surfaces.finish) is not None:  # lamps of others are no light of the own
+        dark = tuple(replace(each, luminance_cd_m2=0.0) for each in finish.materials)
+        finish = replace(finish, materials=dark, eye=origins[:, index], lobes=lobes)
+    surfaces = replace(surfaces, normal=surfaces.normal.where(~behind, -surfaces.normal), finish=finish)
+    return Gathering(surfaces, index // k, weight.flatten()[index].float())
+
+
+def glitter(triangles: Triangles, points: Tensor, normals: Tensor, ground_m: Tensor, lamp_m: Tensor, roughness: float) -> Gathering:
+    """The gloss of a road between points `[3, N]` m and a lamp at `[3]` m, towards the points.
+
+    The mirror image of a lamp in a rough film is a strip along the line between both, as wide as facets of a slope of its roughness reach;
+    rays are denser towards its ends. normals: `[3, N]`. ground_m: `[N]`, heights of the road below the points. All float64.
+    """
+    way = lamp_m[:2, None] - points[:2]
+    length = way.norm(dim=0).clamp(min=1e-3)[:, None]  # [N, 1]
+    own, lamp = ((z - ground_m).clamp(min=0.1)[:, None] for z in (points[2], lamp_m[2]))
+    low, high = (torch.logit((STEEP * height / length).clamp(max=0.4)) for height in (own, lamp))
+    step = (torch.arange(ALONG).double() + 0.5) / ALONG
+    share = torch.sigmoid(low + step * (-high - low))[..., None]  # [N, ALONG, 1] of the way, from the point
+    angle = math.pi * ((torch.arange(ACROSS).double() + 0.5) / ACROSS - 0.5)
+    width = roughness * torch.lerp(own[..., None], lamp[..., None], share)
+    along, aside = length[..., None] * share + 0 * angle, width * angle.tan()
+    area = length[..., None] * share * (1 - share) * ((-high - low) / ALONG)[..., None] * width / angle.cos().square() * (math.pi / ACROSS)
+    ahead = way / length.T
+    x, y = (ahead[k][:, None, None] * along + sign * ahead[1 - k][:, None, None] * aside for k, sign in ((0, -1), (1, 1)))
+    rays = torch.stack([x, y, -own[..., None].expand_as(x)]).flatten(2)  # [3, N, ALONG * ACROSS]
+    distance = rays.norm(dim=0)
+    weight = area.flatten(1) * own / distance**3 * ((normals[..., None] * rays).sum(0) / distance).clamp(min=0)
+    met = _met(triangles, points, rays, weight, lobes=True)
+    return replace(met, surfaces=replace(met.surfaces, albedo=torch.zeros_like(met.surfaces.albedo)))
 
 
 @dataclass(eq=False)
 class Interreflection:
-    """Light that the bodies of a scene and the road reflect onto each other, where an eye may see it."""
+    """Light that the bodies of a scene and the road reflect onto each other, where an eye may see it. lamps_m: `[n, 3]` float64."""
 
     triangles: Triangles
     eye: View
+    lamps_m: Tensor
 
     @cached_property
     def grids(self) -> tuple[Grid, ...]:
-        """Points on the road near bodies, and on the sides of bodies."""
+        """Points on the sides of bodies, then on the road near them."""
         bodies, roads = self.triangles.off_road.placed, tuple(each for each in self.triangles.groups if each.placed[0].body.ground)
         grids = [side for body in bodies for side in _sides(body)]
         grids += [_road(Triangles(roads), bodies, self.eye.origin)] if bodies and roads else []
@@ -121,11 +158,26 @@ class Interreflection:
         return seen.view(grid.used.shape)
 
     @cached_property
-    def gathering(self) -> Gathering:
-        """What all points in use see."""
+    def points(self) -> tuple[Tensor, Tensor]:
+        """Points in use in m and their normals, both `[3, N]`."""
         points = [each.points[:, each.used.flatten()] for each in self.grids]
         normals = [each.T_world_grid[:3, 2:3].expand_as(some) for each, some in zip(self.grids, points, strict=True)]
-        return gather(self.triangles, *(torch.cat([torch.zeros(3, 0).double(), *each], 1) for each in (points, normals)))
+        points, normals = (torch.cat([torch.zeros(3, 0).double(), *each], 1) for each in (points, normals))
+        return points, normals
+
+    @cached_property
+    def gatherings(self) -> tuple[Gathering, ...]:
+        """Matt light at all points by all lamps; then by each of them gloss of a wet road at the points on bodies."""
+        points, normals = self.points
+        ground = {each.object_id: float(each.box[:, 2].min()) for each in self.triangles.off_road.placed}
+        below = torch.tensor([ground.get(each.object_id, math.nan) for each in self.grids for _ in range(int(each.used.sum()))]).double()
+        films = [each for each in _road_materials(self.triangles) if each.interface > 0]
+        found = [gather(self.triangles, points, normals)]
+        for lamp_m in self.lamps_m if films else ():
+            some = torch.nonzero(~below.isnan() & ((lamp_m[:, None] - points) * normals).sum(0).gt(0))[:, 0]
+            shine = glitter(self.triangles, points[:, some], normals[:, some], below[some], lamp_m, films[0].roughness)
+            found.append(replace(shine, point=some[shine.point]))
+        return tuple(found)
 
     def onto(self, gbuffer: GBuffer) -> "Interpolation":
         """Interpolation of the points' illuminance onto the surfaces of a G-buffer."""
@@ -158,6 +210,11 @@ class Interpolation:
             cells[..., grid.used] = some
             image.index_add_(-1, pixel, grid.sample(cells, x, y) * weight)
         return image.unflatten(-1, self.shape)
+
+
+def _road_materials(triangles: Triangles) -> list[Material]:
+    bodies = (each.body for each in triangles.placed if each.body.ground)
+    return [material for body in bodies for material in (body.texture.materials if body.texture else (body.material,))]
 
 
 def _sides(placed: Instance) -> Iterator[Grid]:

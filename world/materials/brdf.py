@@ -61,10 +61,10 @@ class Material:
 LAMBERTIAN = Material()
 
 
-def luminance_factor(material: Material, albedo: Tensor, normal: Tensor, to_lamp: Tensor, to_eye: Tensor) -> Tensor:
+def luminance_factor(material: Material, albedo: Tensor, normal: Tensor, to_lamp: Tensor, to_eye: Tensor, lobes: bool = True) -> Tensor:
     """Luminance `[M]` as a multiple of that of a perfect white diffuser in the same light (`pi f`), for M points.
 
-    albedo: `[M]`. normal, to_lamp, to_eye: unit vectors `[3, M]`.
+    albedo: `[M]`. normal, to_lamp, to_eye: unit vectors `[3, M]`. lobes: whether to add interface and beads to the ground.
 
     The interface is GGX with height-correlated Smith shadowing and Schlick's Fresnel term (Walter et al. 2007, Heitz 2014). The lobe sent
     back is `retro / (2 pi t0) / (1 + t / t0)^2 / max(cos_l, cos_v)` with `t = 1 - l.v`: it holds at most `retro` of the light, from any
@@ -75,6 +75,8 @@ def luminance_factor(material: Material, albedo: Tensor, normal: Tensor, to_lamp
     through, left, mean_left = _tables(material)
     through, left = through.to(albedo), left.to(albedo)
     ground = albedo * _look_up(left, cos_l) * _look_up(left, cos_v) / mean_left
+    if not lobes:
+        return ground
     if material.retro > 0:
         t = (to_lamp - to_eye).square().sum(0) / 2
         lobe = material.retro / (2 * material.retro_t) / (1 + t / material.retro_t).square() / torch.maximum(cos_l, cos_v)

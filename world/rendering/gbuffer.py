@@ -18,12 +18,14 @@ from luxloop.world.scene.triangles import Hits, Instance, Triangles
 class Finish:
     """Reflection of a view's surfaces besides albedo.
 
-    materials: those in sight, the first Lambertian. material: `[height, width]` int64, which of them. eye: `[3]` m, the view's origin.
+    materials: those in sight, the first Lambertian. material: `[height, width]` int64, which of them. eye: `[3]` m, the view's origin, or
+    `[3, height * width]`, one a pixel. lobes: whether surfaces have their gloss and retroreflection besides the matt ground below.
     """
 
     materials: tuple[Material, ...]
     material: Tensor
     eye: Tensor
+    lobes: bool = True
 
 
 @dataclass(frozen=True)

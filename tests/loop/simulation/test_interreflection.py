@@ -61,3 +61,26 @@ def test_parts_and_objects_have_the_light_of_the_whole():
     on_objects = keyed.world.on_objects(0.0, shown)
     lx = keyed.world.lit(0.0, direct=True).light([each.u for each in shown])[0]
     torch.testing.assert_close(on_objects.lx, lx[whole.surfaces.object_id > 0], rtol=1e-5, atol=1e-6)
+
+
+CAR = {"kind": "car", "name": "car", "seed": 1, "track": [{"position_m": [40.0, 3.2, 0.0], "yaw_deg": 180.0}]}
+WET = "surface.wet=1.0"
+
+
+def test_a_wet_road_shines_into_oncoming_eyes():
+    """The low beam lights a head beyond its cut-off by way of the water; a dry road does not."""
+    low, found = "lighting.base.beam='low'", dict[str, float]()
+    for name, overrides in {"off": (WET,), "dry": (KEY,), "wet": (KEY, WET)}.items():
+        simulation = simulated(STREET, low, *overrides, objects=[CAR])
+        light = simulation.world.on_objects(0.0, lights(simulation))
+        found[name] = float(light.on_eyes([1]).max())
+    assert found["wet"] > 2 * found["off"] and found["dry"] < 1.3 * found["off"]
+    dark = tuple(Utilisation(0 * each.u) for each in lights(simulation))
+    assert not simulation.world.on_objects(0.0, dark).lx.any(), "the car's own lamps are no light of ours"
+
+
+def test_the_camera_sees_others_lamps_in_a_wet_road():
+    plain, keyed, dry = (simulated(STREET, *each, objects=[CAR]).world for each in ((WET,), (KEY, WET), (KEY,)))
+    road = plain.lit(0.0).surfaces.object_id == 0
+    most = [float(each.lit(0.0).base[road].max()) for each in (plain, keyed, dry)]
+    assert most[1] > 10 * most[0] and most[1] > 10 * most[2]
