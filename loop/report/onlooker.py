@@ -154,7 +154,8 @@ class Onlooker:
         channels = list[Tensor]()
         for number in range(len(LUMINANCE)):
             modules = tuple(replace(each, measured=Channel(each.headlight, number)) for each in lit.modules)
-            channels.append(replace(lit, modules=modules, render=lambda *_: lit.rendered).light(lights, commands)[1])
+            seen = replace(lit, modules=modules, render=lambda *_: lit.rendered, indirect=None)
+            channels.append((seen.with_indirect() if lit.indirect else seen).light(lights, commands)[1])
         return torch.stack(channels)
 
     def _colours(self, lit: LitScene) -> Tensor:

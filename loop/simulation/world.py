@@ -79,7 +79,7 @@ class LitScene:
     samples: int
     direct: bool
     backscatter: Backscatter | None = None
-    indirect: Interreflection | None = None
+    indirect: "IndirectLight | None" = None
     part: Part | None = None
 
     def __post_init__(self) -> None:
@@ -158,28 +158,19 @@ class LitScene:
         eye = replace(self.eye, width=surfaces.albedo.numel(), height=1)
         return replace(self, eye=eye, render=lambda *_: surfaces, samples=1, part=None)
 
-    @cached_property
-    def _reflectors(self) -> tuple[tuple[Gathering, "LitScene", slice], ...]:
-        """Surfaces that light others, and the modules that light them."""
-        assert self.indirect is not None
-        found = list[tuple[Gathering, LitScene, slice]]()
-        for number, each in enumerate(self.indirect.gatherings):
-            some = slice(number - 1, number) if number else slice(None)
-            found.append((each, replace(self.at(each.surfaces), scene=DARK, indirect=None, modules=self.modules[some]), some))
-        return tuple(found)
+    def with_indirect(self) -> "LitScene":
+        """The same scene, whose surfaces also light each other."""
+        return replace(self, indirect=IndirectLight(self))
 
     @cached_property
     def _interpolation(self) -> Interpolation:
         assert self.indirect is not None
-        return self.indirect.onto(self.surfaces)
+        return self.indirect.geometry.onto(self.surfaces)
 
-    def reflected(self, lights: Sequence[Utilisation], commands: Commands = ()) -> Tensor:
-        """Illuminance `[..., height, width]` in lx at pixel centres by other surfaces in the light of the lamps."""
+    def reflected(self, lights: Sequence[Tensor], commands: Commands = ()) -> Tensor:
+        """Illuminance `[..., height, width]` in lx at pixel centres by other surfaces in the light of the lamps; lights as of `light`."""
         assert self.indirect is not None
-        n_points = self.indirect.points[0].shape[1]
-        return self._interpolation(
-            sum(each.illuminance(lit.shown(lights[some], commands[some]).flatten(-2), n_points) for each, lit, some in self._reflectors)
-        )
+        return self._interpolation(self.indirect.on_points(commands, *lights))
 
     @cached_property
     def _matt(self) -> Tensor:
@@ -200,7 +191,7 @@ class LitScene:
         direct = added_light(transports, dimmed, self.base, rows)
         if self.indirect is None:
             return direct
-        added = self.reflected(lights, commands) * self._matt
+        added = self.reflected([light.u for light in lights], commands) * self._matt
         return direct + (added if rows is None else added[..., rows, :])
 
     def find_exposure(self, lights: tuple[Utilisation, ...], commands: Commands) -> Photometry | None:
@@ -221,7 +212,7 @@ class LitScene:
     def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
         """Luminance `[..., height, width]` in cd/m^2 of these lights alone, with all modules at rest."""
         direct = added_light(self.transports, lights, torch.zeros_like(self.base))
-        return direct if self.indirect is None else direct + self.reflected(lights) * self._matt
+        return direct if self.indirect is None else direct + self.reflected([light.u for light in lights]) * self._matt
 
     def through_clear_air(self, luminance: Tensor) -> Tensor:
         """Luminance `[..., height, width]` of surfaces in the lamps' light, as it would be without extinction from lamps and to the eye."""
@@ -250,7 +241,7 @@ class LitScene:
         arriving, leaving = (each.view_as(self.surfaces.albedo) for each in (arriving, leaving))
         if self.indirect is None:
             return arriving, leaving
-        reflected = self.reflected([Utilisation(u) for u in lights], commands)
+        reflected = self.reflected(lights, commands)
         return arriving + reflected, leaving + reflected * self._matt
 
     def backscattered(self, lights: Sequence[Utilisation], commands: Commands = (), part: Part | None = None) -> Tensor | float:
@@ -335,6 +326,40 @@ class LitScene:
         u0, u1 = (min(max(u, 0.0), width) for u in (box[0], box[2]))
         v0, v1 = (min(max(v, 0.0), height) for v in (box[1], box[3]))
         return u0, v0, u1, v1
+
+
+@dataclass(eq=False)
+class IndirectLight:
+    """Light of the lamps that surfaces reflect onto each other, for all parts of a view. lit: the whole view in direct light."""
+
+    lit: LitScene
+
+    def __post_init__(self) -> None:
+        self.on_points = keeping(KEPT_LIGHTS, self._on_points)
+
+    @cached_property
+    def geometry(self) -> Interreflection:
+        """Points on the surfaces, and what they see."""
+        T_world_body = self.lit.vehicle.T_world_body
+        lamps_m = [(T_world_body @ each.T_body_headlight.double().cpu())[:3, 3] for each in self.lit.modules]
+        return Interreflection(self.lit.triangles, self.lit.eye, torch.stack(lamps_m))
+
+    @cached_property
+    def _reflectors(self) -> tuple[tuple[Gathering, LitScene, slice], ...]:
+        """Surfaces that light others, and the modules that light them."""
+        some = [slice(None), *(slice(number, number + 1) for number in range(len(self.lit.modules)))]
+        return tuple(
+            (each, replace(self.lit.at(each.surfaces), scene=DARK, modules=self.lit.modules[which]), which)
+            for each, which in zip(self.geometry.gatherings, some, strict=False)
+        )
+
+    def _on_points(self, commands: Commands, *lights: Tensor) -> Tensor:
+        """Illuminance `[..., N]` in lx of the points."""
+        total: Tensor | float = 0.0
+        for gathering, lit, some in self._reflectors:
+            leaving = lit.shown([Utilisation(u) for u in lights[some]], commands[some]).flatten(-2)
+            total = total + gathering.illuminance(leaving, self.geometry.points[0].shape[1])
+        return torch.as_tensor(total)
 
 
 @dataclass(frozen=True, eq=False)
@@ -499,17 +524,12 @@ class World:
             self._triangles = triangles = self.scene.at(t_s, vehicle.T_world_ground, self._triangles)
             eye, render, parts = self.view_at(t_s), self.surfaces.gbuffer, (self.scene, self.modules, self.given)
             backscatter = None if medium is None else self._backscatter(medium)
-            indirect = Interreflection(triangles, eye, self._lamps_m(vehicle)) if self.scene.interreflection else None
-            how = self.camera.oversampling, direct, backscatter, indirect
-            self._lit[key] = LitScene(t_s, eye, vehicle, triangles, render, *parts, *how)
+            lit = LitScene(t_s, eye, vehicle, triangles, render, *parts, self.camera.oversampling, direct, backscatter)
+            self._lit[key] = lit.with_indirect() if self.scene.interreflection else lit
             if len(self._lit) > KEPT_VIEWS:
                 self._lit.popitem(last=False)
         self._lit.move_to_end(key)
         return self._lit[key]
-
-    def _lamps_m(self, vehicle: VehicleState) -> Tensor:
-        """Places `[n, 3]` of the modules in the world."""
-        return torch.stack([vehicle.T_world_body @ each.T_body_headlight.double().cpu() for each in self.modules])[:, :3, 3]
 
     def _backscatter_of(self, medium: Medium) -> Backscatter:
         return Backscatter(medium, self.view)
@@ -535,5 +555,5 @@ class World:
         eye = replace(view, T_world_view=self.motion.at(t_s).T_world_ground @ view.T_world_view)
         from_body = replace(eye, T_world_view=inverse(lit.vehicle.T_world_body) @ eye.T_world_view)
         backscatter = lit.backscatter and Backscatter(lit.backscatter.medium, from_body)
-        indirect = lit.indirect and Interreflection(lit.triangles, eye, self._lamps_m(lit.vehicle))
-        return replace(lit, eye=eye, samples=1, direct=True, backscatter=backscatter, indirect=indirect)
+        seen = replace(lit, eye=eye, samples=1, direct=True, backscatter=backscatter, indirect=None)
+        return seen if lit.indirect is None else seen.with_indirect()

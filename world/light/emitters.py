@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import torch
 from torch import Tensor
@@ -16,6 +17,8 @@ from luxloop.world.rendering.raycast import sees
 from luxloop.world.scene.body import Spotlight
 from luxloop.world.scene.scene import SUN_M, StreetLamp, SunParams
 from luxloop.world.scene.triangles import Triangles
+
+GLOSS_LX: Final = 1e-6  # below which a spotlight has no gloss
 
 
 def ambient_luminance(
@@ -44,9 +47,12 @@ def ambient_luminance(
         away = spot.position.to(position)[:, None] - position
         factor = _lux_per_cd(away, normal, haze)
         lit = torch.nonzero(factor)[:, 0]  # what faces the lamp
-        away, factor = away.index_select(1, lit), factor[lit]
-        factor = _gloss(gbuffer, there[lit], away) * factor if glossy else factor
-        illuminance.index_add_(0, lit, spot_intensity(spot, away.neg_()) * factor)
+        away = away.index_select(1, lit)
+        lux = spot_intensity(spot, -away) * factor[lit]
+        if glossy:
+            strong = torch.nonzero(lux > GLOSS_LX)[:, 0]
+            lux[strong] *= _gloss(gbuffer, there[lit[strong]], away[:, strong])
+        illuminance.index_add_(0, lit, lux)
     reflected = albedo[there] * illuminance / math.pi
     luminance = torch.zeros_like(albedo).index_copy(0, there, reflected).view_as(gbuffer.albedo)
     if gbuffer.finish is not None:
