@@ -162,8 +162,8 @@ class Interreflection:
         """Points in use in m and their normals, both `[3, N]`."""
         points = [each.points[:, each.used.flatten()] for each in self.grids]
         normals = [each.T_world_grid[:3, 2:3].expand_as(some) for each, some in zip(self.grids, points, strict=True)]
-        points, normals = (torch.cat([torch.zeros(3, 0).double(), *each], 1) for each in (points, normals))
-        return points, normals
+        none = torch.zeros(3, 0, dtype=torch.float64)
+        return torch.cat([none, *points], 1), torch.cat([none, *normals], 1)
 
     @cached_property
     def gatherings(self) -> tuple[Gathering, ...]:
