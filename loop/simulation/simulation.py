@@ -424,7 +424,7 @@ class Simulation:
     @property
     def remembers(self) -> bool:
         """Whether a step depends on earlier steps."""
-        loops = self.controlled or self.planner.commanding or self.gain_loop
+        loops = self.controlled or self.planner.commanding or self.gain_loop or self.scenario.other_car
         return self.pipeline is not None or self.planner.learns or bool(loops)
 
     def base(self, beam: str) -> str:

@@ -71,6 +71,12 @@ def test_a_lone_car_draws_in_the_step_after_its_wish():
     assert sum(lit[19:]) >= 4
 
 
+def test_a_step_of_a_meeting_follows_those_before():
+    """The other car's state is the plant's, even if no function learns."""
+    plain = "functions.crossing.carrier_sense={}"
+    assert prepare(plain).remembers and not prepare(plain, "other_car={}").remembers
+
+
 def example(name: str) -> ModuleType:
     """A shipped example as a module."""
     spec = spec_from_file_location(name.removesuffix(".py"), examples()[name])
