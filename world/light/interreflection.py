@@ -240,7 +240,7 @@ def _road(road: Triangles, bodies: tuple[Instance, ...], eye: Tensor) -> Grid:
     reach = REACH * (sides[:, 1] * sides[:, 2]).sqrt()[:, None]
     low = torch.maximum((boxes[:, 0] - reach).amin(0), eye[:2] - FAR_M).div(CELL_M).floor() - 1
     high = torch.minimum((boxes[:, 1] + reach).amax(0), eye[:2] + FAR_M).div(CELL_M).ceil() + 1
-    n = (high - low).clamp(min=1).int().tolist()
+    n = (high - low).clamp(min=3).int().tolist()
     T, none = pose(torch.cat([low * CELL_M, low.new_zeros(1)]), torch.eye(3).double()), torch.zeros(n, dtype=torch.bool)
     points = Grid(road.placed[0].object_id, T, (CELL_M, CELL_M), none.double(), none, none).points
     down, above = torch.zeros_like(points), points + points.new_tensor([[0.0], [0.0], [ABOVE_M]])

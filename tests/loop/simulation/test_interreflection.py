@@ -83,3 +83,12 @@ def test_the_camera_sees_others_lamps_in_a_wet_road():
     road = plain.lit(0.0).surfaces.object_id == 0
     most = [float(each.lit(0.0).base[road].max()) for each in (plain, keyed, dry)]
     assert most[1] > 10 * most[0] and most[1] > 10 * most[2]
+
+
+@pytest.mark.parametrize("place_m", [(200.0, 0.0, 0.0), (-80.0, 0.0, 0.0)])
+def test_bodies_out_of_reach_change_nothing(place_m):
+    far = {"kind": "box", "name": "far", "size_m": [1.0, 1.0, 1.0], "track": [{"position_m": place_m}]}
+    keyed = simulated(STREET, KEY, objects=[far])
+    lit = keyed.world.lit(0.0)
+    reflected = lit.reflected([each.u for each in lights(keyed)])
+    assert not reflected[lit.surfaces.object_id == 0].any()
