@@ -2,7 +2,6 @@
 
 import math
 from bisect import bisect_left
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal, Protocol, Self, runtime_checkable
@@ -103,8 +102,8 @@ class Situation:
     the road. symbols: the functions' images by name. seen: the last frame, None without a camera or before the first frame. lights: names
     and potential lights of the modules in their commanded turn and dimming. pitch_rad: measured pitch of the body relative to the road,
     nose down positive, 0 without a sensor. commands: turn and dimming of each module, empty if all are at rest. indicator: direction
-    indicator; `hazard` indicates both sides. dark: by name of the objects that get light of their own, the share of their height, from the
-    top, that stays dark. rate_hz: of the control steps. seed: of what the car draws by lot.
+    indicator; `hazard` indicates both sides. lit: names of the objects that object light lights. rate_hz: of the control steps. seed: of
+    what the car draws by lot.
     """
 
     time_s: float
@@ -121,7 +120,7 @@ class Situation:
     pitch_rad: float = 0.0
     commands: Commands = ()
     indicator: Indicator = "off"
-    dark: Mapping[str, float] = field(default_factory=dict)
+    lit: frozenset[str] = frozenset()
     rate_hz: float = 30.0
     seed: int = 0
 

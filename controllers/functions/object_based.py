@@ -61,18 +61,15 @@ class ObjectLightParams(Params):
             core = Place(body.origin + (1 - across) / 2 * body.d1, across * body.d1, down * body.d2, body.normal)
             core_lx = min(lx, self.dark_lx) if math.isnan(each.score) or each.confidence < SURE else lx
             parts.append(core.light(core_lx, "E_v", forced=True, priority=layer - LAYERS, modules=modules))
-        share = self.dark_share(each)
+        share = self.dark.get(each.category, 0.0)
+        if each.confidence < SURE:
+            share = max(share, self.dark.get("pedestrian", 0.0))
         low[2], high[2] = (1 - share) * height, (1 + share) * height
         below = TEXEL_RAD * float((body.origin - lamps.mean(0)).norm())
         eyes = frontal(each.T_world_object, low, high, lamps, self.margin_m, below) if share else None
         if eyes is not None:
             parts.append(eyes.light(self.dark_lx, "E_v", weight=math.inf, forced=True, priority=layer))
         return tuple(parts)
-
-    def dark_share(self, each: TrackedObject) -> float:
-        """Share of an object's height, from the top, that stays dark; who is not found for sure may be a person."""
-        share = self.dark.get(each.category, 0.0)
-        return share if each.confidence >= SURE else max(share, self.dark.get("pedestrian", 0.0))
 
     def _image(self, place: Place) -> Tensor | None:
         """Image `[h, w]` of the structure, whole cells from the top left; None for homogeneous light."""

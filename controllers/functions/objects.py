@@ -63,9 +63,10 @@ class GlareFreeParams(SelectionParams):
         """A cuboid of six outward primitives for each object, forced and of infinite weight, and one cuboid for each soft zone.
 
         A fading mask lets light through again and must yield to full masks, so its weight is finite and its priority lower. Full masks
-        yield to the light on nearer objects. They let PROBE_LX through if they may hide a tracked road user who is not masked.
+        yield to the light on nearer objects. They let PROBE_LX through if they may hide a tracked road user who is not masked. Whom object
+        light lights it keeps from glare itself.
         """
-        masked = self.select(now)
+        masked = [each for each in self.select(now) if each.name not in now.lit]
         users = [each for each in now.objects if each.category in ROAD_USERS and each.present(now.time_s)]
         others = [each for each in users if each.confidence < 1 and each not in masked]  # by a detector, not by the truth
         return tuple(part for each in masked for part in self._around(each, others, now))
@@ -78,8 +79,6 @@ class GlareFreeParams(SelectionParams):
         distance = float((T[:3, 3] - lamps.to(T)).norm(dim=-1).amin())
         margin = self.margin_m + distance * math.tan(math.radians(self.margin_deg))
         low, high = extend_box(each, margin, lamps)
-        if each.name in now.dark:
-            low[2] = (1 - now.dark[each.name]) * each.size_m[2]
         mask, soft = cuboid(T, low, high), SOFT_MASK * LAYERS + LAYERS - 1
         if share == 1:
             probe = 1.0 if any(overlap(T, low, high, other, lamps) for other in others) else min((1 - each.confidence) / (1 - SURE), 1.0)

@@ -201,8 +201,8 @@ class Planner:
     def draw(self, now: Situation, states: States) -> dict[str, tuple[Primitives, ...]]:
         """The primitives of each function."""
         lights = [each for each in self.functions.values() if isinstance(each, ObjectBasedParams)]
-        dark = {each.name: light.light.dark_share(each) for light in lights for each in light.select_present(now)}
-        now = replace(now, symbols=dict(self.symbols), dark=dark)
+        lit = frozenset(each.name for light in lights for each in light.select_present(now))
+        now = replace(now, symbols=dict(self.symbols), lit=lit)
         found = {}
         for name, function in self.functions.items():
             with locate(f"functions.{name}"):
