@@ -47,6 +47,35 @@ def threshold_increment(veil_cd_m2: float, adaptation_cd_m2: float) -> float:
     return 65 * veil_cd_m2 / adaptation_cd_m2**0.8
 
 
+PROBABILITY = 2.6  # Adrian's factor k, for a probability of detection of 99.9 %
+SCOTOPIC, MESOPIC = 0.00418, 0.6  # cd/m^2, limits of the ranges of Adrian's fits
+
+
+def threshold_difference(background: Tensor, size_arcmin: Tensor, darker: Tensor, age_years: float = 25.0, seen_s: float = 0.2) -> Tensor:
+    """Luminance difference in cd/m^2 at which a target is just seen, in the shape of its arguments (W. Adrian, "Visibility of targets:
+    model for calculation", Lighting Research and Technology 21, 1989): `k (sqrt(Phi) / size + sqrt(L))^2` by Ricco's and Weber's laws, with
+    factors for targets darker than their background, for the time that they are seen, and for the age.
+
+    background: luminance that the eye is adapted to, from 1e-4 cd/m^2 on, with the veil. size_arcmin: below 60. darker: bool. age_years: 23
+    to 64.
+    """
+    log = background.log10()
+    day, night = background >= MESOPIC, background <= SCOTOPIC
+    ricco = torch.where(night, 0.028 + 0.173 * log, -0.072 + 0.3372 * log + 0.0866 * log**2)
+    ricco = torch.where(day, (4.1925 * background**0.1556).log10() + 0.1684 * background**0.5867, 10**ricco)
+    weber = torch.where(night, -0.891 + 0.5275 * log + 0.0227 * log**2, -1.256 + 0.319 * log)
+    weber = torch.where(day, 0.05946 * background**0.466, 10**weber)
+    brighter = PROBABILITY * (ricco / size_arcmin + weber) ** 2
+    polarity = 10 ** -(10 ** -(torch.where(background >= 0.1, 0.125, 0.075) * (log + 1) ** 2 + 0.0245))
+    polarity = 1 - polarity * size_arcmin ** (-0.6 * background**-0.1488) / (2.4 * brighter)
+    size, level = size_arcmin.log10() + 0.523, log + 6
+    of_size = 0.36 - 0.0972 * size**2 / (size**2 - 2.513 * size + 2.7895)
+    of_level = 0.355 - 0.1217 * level**2 / (level**2 - 10.4 * level + 52.28)
+    time = 1 + (of_size**2 + of_level**2).sqrt() / (2.1 * seen_s)
+    age = (age_years - 19) ** 2 / 2160 + 0.99
+    return age * time * torch.where(darker, polarity * brighter, brighter)
+
+
 def exposure_of(light: Tensor) -> float:
     """Exposure value at which nearly all of light `[3, H, W]` in cd/m^2 keeps its contrast."""
     bright = np.quantile((light.movedim(0, -1) @ light.new_tensor(LUMINANCE)).cpu().numpy(), BRIGHT)

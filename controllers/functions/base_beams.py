@@ -4,7 +4,7 @@ import base64
 import binascii
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal, Self
 
@@ -20,9 +20,9 @@ from luxloop.controllers.situation import Situation
 from luxloop.perception.birdseye import hull, span
 from luxloop.world.errors import LuxloopError
 from luxloop.world.images import decode
-from luxloop.world.params import Params
+from luxloop.world.params import Params, Share
 
-BeamName = Literal["low", "high", "town", "motorway", "adverse", "full", "off"]
+BeamName = Literal["low", "high", "town", "motorway", "adverse", "camera", "full", "off"]
 AUTOMATIC: tuple[BeamName, ...] = ("low", "town", "motorway", "adverse")  # what `afs_beam` chooses from
 
 TOWN_BELOW_M_S = 50 / 3.6  # our choice, close to the limits of class V (town) and class E (motorway) in UN R149
@@ -31,13 +31,29 @@ MOTORWAY_ABOVE_M_S = 110 / 3.6
 
 @dataclass(frozen=True)
 class BaseBeam:
-    """A beam by name and its morphing in rad: bend to the left, level nose down, roll right side down. share: factor on the beam, 0..1."""
+    """A beam by name and its morphing in rad: bend to the left, level nose down, roll right side down.
+
+    share: factor on the beam, 0..1. rest: name of the beam that gets the remaining share.
+    """
 
     name: str
     bend: float = 0.0
     level: float = 0.0
     roll: float = 0.0
     share: float = 1.0
+    rest: str = "off"
+
+    @property
+    def undimmed(self) -> Self:
+        """The beam at its full share, or with the rest that replaces a part of it."""
+        return replace(self, share=1.0) if self.rest == "off" else self
+
+    @property
+    def shares(self) -> str:
+        """The shares in words, after the beam's name."""
+        if self.share == 1:
+            return ""
+        return f" at {100 * self.share:.0f} %" + ("" if self.rest == "off" else f", {self.rest} beam at {100 * (1 - self.share):.0f} %")
 
     @property
     def morph(self) -> Morph:
@@ -48,6 +64,8 @@ class BaseBeamParams(Params):
     """The base beam below all functions."""
 
     beam: Literal[BeamName, "auto"] = Field("off", description="beam of the lamps; `auto` chooses by speed, wetness and street lighting")
+    share: Share = Field(1.0, description="share of the beam, unless a function sets it")
+    rest: BeamName = Field("off", description="beam that gets the remaining share, such as `low` below a beam for the camera")
     bend_deg: float = Field(0.0, ge=-20, le=20, description="digital turn to the left")
     level_deg: float = Field(0.0, ge=-10, le=10, description="digital turn down")
     roll_deg: float = Field(0.0, ge=-20, le=20, description="digital roll, right side down")
@@ -57,8 +75,8 @@ class BaseBeamParams(Params):
 
     @property
     def names(self) -> tuple[BeamName, ...]:
-        """The beams that may be chosen."""
-        return AUTOMATIC if self.beam == "auto" else (self.beam,)
+        """The beams that may be chosen, and the rest."""
+        return (*(AUTOMATIC if self.beam == "auto" else (self.beam,)), self.rest)
 
     def at(self, now: Situation) -> BaseBeam:
         bend = math.radians(self.bend_deg)
@@ -67,7 +85,7 @@ class BaseBeamParams(Params):
         largest = math.radians(self.largest_bend_deg)
         name = afs_beam(now) if self.beam == "auto" else self.beam
         bend = min(max(bend, -largest), largest) if self.follow_course else bend
-        return BaseBeam(name, bend, math.radians(self.level_deg), math.radians(self.roll_deg))
+        return BaseBeam(name, bend, math.radians(self.level_deg), math.radians(self.roll_deg), self.share, self.rest)
 
 
 class RawParams(Params):

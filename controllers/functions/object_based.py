@@ -148,14 +148,15 @@ class ObjectBasedParams(SelectionParams):
     """Light on objects, over a dimmed base beam."""
 
     kind: Literal["object_based"] = "object_based"
-    method: Literal["confidence", "class", "constant"] = Field(
+    method: Literal["confidence", "ambient", "class", "constant"] = Field(
         "confidence",
-        description="`confidence`: loops on a detector's confidence; `class`: a setpoint for each class; `constant`: one setpoint for all",
+        description="`confidence`: loops on a detector's confidence; `ambient`: only the base beam's loop, without light on objects; "
+        "`class`: a setpoint for each class; `constant`: one setpoint for all",
     )
     categories: tuple[Category, ...] = Field(
         ("pedestrian", "cyclist", "car", "animal", "truck", "motorcycle"), min_length=1, description="classes of objects to light"
     )
-    ambient: AmbientLoopParams = Field(AmbientLoopParams(), description="loop of the base beam, for `confidence`")
+    ambient: AmbientLoopParams = Field(AmbientLoopParams(), description="loop of the base beam, for `confidence` and `ambient`")
     loop: ObjectLoopParams = Field(ObjectLoopParams(), description="loop of each object, for `confidence`")
     share: Share = Field(0.2, description="share of the base beam, for `class` and `constant`")
     setpoint_lx: NotNegative = Field(10.0, description="setpoint on each object for `constant`, and on classes not in setpoints_lx")
@@ -168,15 +169,20 @@ class ObjectBasedParams(SelectionParams):
     priority: Priority = 20
     modules: DrawingModules = ()
 
+    @property
+    def _closed(self) -> bool:
+        """Whether the method learns from a detector."""
+        return self.method in ("confidence", "ambient")
+
     def start(self) -> ObjectBasedState:
-        return ObjectBasedState(Ambient(self.ambient.first if self.method == "confidence" else self.share))
+        return ObjectBasedState(Ambient(self.ambient.first if self._closed else self.share))
 
     def step(self, state: ObjectBasedState, now: Situation) -> ObjectBasedState:
         """The state after a frame; objects that the tracker no longer reports are dropped.
 
         A new object at the place of a lost object continues the lost object's loop.
         """
-        if self.method != "confidence":
+        if not self._closed:
             return state
         objects = self.select(now)
         seen = {each.name: Apparent.of(each, now.lamps) for each in objects}
@@ -197,13 +203,13 @@ class ObjectBasedParams(SelectionParams):
             for each in now.objects
             if (loop := loops.get(each.name)) and each.until_s > now.time_s and self.ambient.sure(loop.peak) and _in_sight(each, now)
         ]
-        doubtful = [loop.recent for loop in known if self.loop.at_limit(loop)]
+        doubtful = [loop.recent for loop in known if self.method == "ambient" or self.loop.at_limit(loop)]
         return ObjectBasedState(self.ambient.step(state.ambient, [loop.recent for loop in known], doubtful), loops)
 
     def adapted(self, state: ObjectBasedState, now: Situation) -> tuple[Primitives, ...]:
         """The primitives of each object: its light and its dark part."""
         parts: list[Primitives] = []
-        for each in self.select(now):
+        for each in () if self.method == "ambient" else self.select(now):
             share = fade(now.time_s, each.since_s, each.until_s, 0.0, self.fade_out_s)
             if share:
                 parts += self.light.on(each, now.lamps, share * self.lx(state, each), self.priority, now.mask_layer(each), self.modules)

@@ -220,13 +220,14 @@ class Planner:
         two overlap, and at equal priority the one that `in_order` puts on top.
         """
         parts = [primitives for name in reversed(tuple(self.functions)) for primitives in drawn.get(name, ())]
-        base = replace(self.lighting.base.at(now), share=self._base_share(states))
+        base = self.lighting.base.at(now)
+        base = replace(base, share=self._base_share(states, base.share))
         if not parts:
             return Plan(now.time_s, base, None, self.painted)
         primitives = concatenate(*parts).to(self.dtype)
         shared = replace(primitives, shared=primitives.shared & self.lighting.share)
         return Plan(now.time_s, base, shared, self.painted)
 
-    def _base_share(self, states: States) -> float:
+    def _base_share(self, states: States, default: float) -> float:
         asked = (each.base_share(states[name]) for name, each in self.adaptive.items())
-        return max((share for share in asked if share is not None), default=1.0)
+        return max((share for share in asked if share is not None), default=default)

@@ -91,7 +91,7 @@ class Onlooker:
     def picture(self, time_s: float, lights: Sequence[Tensor], commands: Commands, exposure_ev: float) -> np.ndarray:
         """sRGB picture `[H, W, 3]` uint8 of the light on the retina."""
         lit = self._lit(time_s)
-        shown = smooth(develop(self._light(lit, lights, commands) + self._glare(lit, lights, commands), exposure_ev))
+        shown = smooth(develop(self._light(lit, lights, commands) + self.glare(lit, lights, commands), exposure_ev))
         return (255 * shown).round().byte().movedim(0, -1).cpu().numpy()
 
     @cached_property
@@ -183,7 +183,7 @@ class Onlooker:
     def _course(self) -> VehiclePath:
         return VehiclePath.of(self.world.motion, self.duration_s)
 
-    def _glare(self, lit: LitScene, lights: Sequence[Tensor], commands: Commands) -> Tensor:
+    def glare(self, lit: LitScene, lights: Sequence[Tensor], commands: Commands = ()) -> Tensor:
         """Veil `[3, H, W]` in cd/m^2, linear sRGB, of the lamps that shine into the eye: those of others and of streets, and the own ones
         if the eye rides along.
         """

@@ -193,8 +193,7 @@ def _camera(axes: Axes, simulation: Simulation, result: Evaluation, white: float
         text = axes.annotate(mark.text, mark.at, (0, 2), textcoords="offset points", color=colour, fontsize=6.5, clip_on=True)
         text.set_path_effects([withStroke(linewidth=1.5, foreground="black")])
     axes.set(xlim=(-0.5, image.shape[1] - 0.5), ylim=(image.shape[0] - 0.5, -0.5), xticks=[], yticks=[])
-    share = result.plan.base.share
-    beam = simulation.base(result.plan.base.name) + (f" at {100 * share:.0f} %" if share < 1 else "")
+    beam = simulation.base(result.plan.base.name) + result.plan.base.shares
     watts = "" if result.detections is None else f", {sum(power.watts for power in result.powers.values()):.1f} W"
     asked = "asked for: " if shadow_of(simulation.scenario.plant) is not None else ""
     axes.set_title(f"Camera at {result.time_s:.2f} s, {asked}{beam}{watts}", weight="normal")

@@ -260,8 +260,7 @@ def captions(result: Evaluation, simulation: Simulation) -> list[tuple[str, tupl
         lines[2] = f"commanded in shadow: {lines[2]}"
     if base.bend or base.level or base.roll:
         lines[2] += f", bend {math.degrees(base.bend):+.1f}, level {math.degrees(base.level):+.1f} deg"
-    if base.share < 1:
-        lines[2] += f" at {100 * base.share:.0f} %"
+    lines[2] += base.shares
     if result.detections is not None:
         lines[3] += f", {sum(power.watts for power in result.powers.values()):.0f} W"
     if result.dark_lx_max is not None:

@@ -268,7 +268,7 @@ class Evaluator:
         )
 
     def _rules(self, plan: Plan, before: Evaluation | None) -> Mapping[str, tuple[Result, ...]]:
-        same = before is not None and not self.scenario.lighting.raw and replace(before.plan.base, share=plan.base.share) == plan.base
+        same = before is not None and not self.scenario.lighting.raw and before.plan.base.undimmed == plan.base.undimmed
         if before is not None and same and before.rules.keys() == set(self.scenario.rules):
             return before.rules
         return {rule: self.lamps.failures(plan, rule) for rule in self.scenario.rules}

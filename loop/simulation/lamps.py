@@ -115,15 +115,22 @@ class ShiningModule(MountedModule):
         if self.raw is not None:
             return self.raw.at(plan.time_s).to(self.headlight.matrix.values)
         beam = plan.base
-        moved = self.beams[beam.name]
-        shown = moved.beam if beam == BaseBeam(beam.name, share=beam.share) else moved.utilisation(beam.morph)
-        return shown if beam.share == 1 else beam.share * shown
+        still = beam == BaseBeam(beam.name, share=beam.share, rest=beam.rest)
+
+        def shown(name: str) -> Tensor:
+            moved = self.beams[name]
+            return moved.beam if still else moved.utilisation(beam.morph)
+
+        if beam.share == 1:
+            return shown(beam.name)
+        dimmed = beam.share * shown(beam.name)
+        return dimmed if beam.rest == "off" else dimmed + (1 - beam.share) * shown(beam.rest)
 
     def utilisation(self, plan: Plan, secondary: SecondaryRays) -> Utilisation:
         """Utilisation from base beam, functions and painted pictures. secondary: secondary rays of this module."""
         base, primitives, layer = self.base(plan), plan.for_module(self.name), plan.painted.get(self.name)
         if primitives is None or (layer is not None and not layer.over):
-            light = Utilisation(base, slice(0, 0) if self.raw is None and plan.base.name == "off" else None)
+            light = Utilisation(base, slice(0, 0) if self.raw is None and plan.base.name == plan.base.rest == "off" else None)
         else:
             light = self.controller.over(base).utilisation(primitives.to(base.device), self.T_world_module, secondary)
         return light if layer is None else layer.on(light, self.mask_limit(plan) if layer.over else 1.0)
@@ -210,7 +217,7 @@ class LampDriver:
 
     def failures(self, plan: Plan, rule: str) -> tuple[Result, ...]:
         """A rule's requirements that the undimmed base beam of a lamp fails, those of the lamp that fails more."""
-        base, failures = replace(plan, base=replace(plan.base, share=1.0)), list[tuple[Result, ...]]()
+        base, failures = replace(plan, base=plan.base.undimmed), list[tuple[Result, ...]]()
         for side in dict.fromkeys(module.side for module in self.modules):
             mine = [module for module in self.modules if module.side == side]
             lamp = Lamp(side, tuple(Module(each.name, each.headlight, each.T_world_module) for each in mine))

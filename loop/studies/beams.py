@@ -18,6 +18,7 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn.functional import interpolate
 
+from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.recording.manifest import write_json
 from luxloop.loop.recording.record import schema
 from luxloop.loop.report import terminal as tables
@@ -103,7 +104,7 @@ class BeamEvaluator:
     def evaluate(self, lights: Sequence[Tensor], step: int = 0) -> Evaluation:
         """Effect of utilisations `[n_p]`, one per module; differentiable for image metrics and luxloop's own network."""
         illuminance, luminance = self.scene.light(lights)
-        luminance = luminance + self.scene.base
+        luminance = luminance + self.scene.base + self.scene.backscattered([Utilisation(u) for u in lights])
         scores = self.scores(luminance, step)
         share = sum((u * module.flux).sum() for u, module in zip(lights, self.simulation.modules, strict=True)) / self._most_lm
         loss = -scores.clamp(min=FAINTEST).log().mean() + self.goal.energy * share

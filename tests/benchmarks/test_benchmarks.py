@@ -70,8 +70,17 @@ def startup_orders(found: Found) -> bool:
     return seconds["new my.toml"] < seconds["import torch"] < seconds["check snowflake"] and len(found["goals"]) == 4
 
 
+def beams_differ(found: Found) -> bool:
+    """All but the full light have the low beam's flux; the more of it goes to the camera's beam, the more reaches oncoming eyes."""
+    fog = found["tables"]["fog"]
+    lm, cd = ([fog[name][key] for name in ("low beam", "camera 50 %", "camera 100 %", "full light")] for key in ("lm", "B50L cd"))
+    assert lm[1] == pytest.approx(lm[0], rel=0.01) == lm[2] and lm[3] > 5 * lm[0] and cd == sorted(cd)
+    return all(0 <= each["recall"] <= 1 and 0 < each["revealing power"] < 1 for each in fog.values())
+
+
 PROMISES = {
     "batch": lambda found: found["ms"]["320 x 180 px"]["4"]["speed-up"] > 0,
+    "beams": beams_differ,
     "clients": lambda found: found["pictures"]["640 x 360"]["bytes"] == 640 * 360 * 11,
     "convergence": lambda found: len(found["runs"]) == 3 and found["lost"] < 3,
     "detectors": lambda found: len(found["summary"]) == 8 and found["summary"]["network first high"]["recall"] > 0.7,
@@ -109,7 +118,8 @@ def test_each_runs_in_its_smallest_form(name, request, tmp_path, monkeypatch):
     if name == "shadows":
         monkeypatch.setenv("LUXLOOP_DATA", str(request.getfixturevalue("data_dir")))
     measure = import_module(name).measure
-    found = measure(bench.cases(measure, quick=True, **({"out": str(tmp_path), "jobs": 1} if name in ("moving", "tuning") else {})))
+    resumable = {"out": str(tmp_path), "jobs": 1} if name in ("beams", "moving", "tuning") else {}
+    found = measure(bench.cases(measure, quick=True, **resumable))
     assert json.dumps(found) and PROMISES[name](found)
 
 

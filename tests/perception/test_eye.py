@@ -7,7 +7,7 @@ import pytest
 import torch
 from hypothesis import given
 
-from luxloop.perception.eye import SATURATION_CD_M2, develop, exposure_of, smooth, veil
+from luxloop.perception.eye import SATURATION_CD_M2, develop, exposure_of, smooth, threshold_difference, veil
 from luxloop.world.frames import T_ISO_OPENCV, View
 from luxloop.world.headlight.matrix import LUMINANCE
 
@@ -32,6 +32,26 @@ def test_veil_is_that_of_the_cie_and_light_adds_up(age, theta_deg, expected):
     assert float(left) == pytest.approx(float(right), rel=1e-4) and float(left) == pytest.approx(expected, rel=0.03)
     assert torch.allclose(veil(AHEAD, source.expand(3, 2), torch.tensor([0.25, 0.75]), age), one, rtol=1e-5)
     assert bool((veil(AHEAD, source, torch.tensor([1.0]), age + 20) > one).all()), "older eyes scatter more"
+
+
+@pytest.mark.parametrize(
+    ("background", "size_arcmin", "darker", "age_years", "expected"),
+    [(1.0, 10.0, False, 25, 0.08152), (0.1, 10.0, True, 25, 0.01301), (0.01, 20.0, False, 60, 0.008633), (0.001, 30.0, True, 40, 4.605e-4)],
+)
+def test_threshold_is_that_of_adrian(background, size_arcmin, darker, age_years, expected):
+    """Evaluated by hand, a value in each range of his fits."""
+    of = (torch.tensor(each, dtype=torch.float64) for each in (background, size_arcmin))
+    assert float(threshold_difference(*of, torch.tensor(darker), age_years)) == pytest.approx(expected, rel=1e-3)
+
+
+@given(st.floats(-3.5, 2), st.floats(1, 50))
+def test_a_target_is_seen_sooner_if_larger_or_darker_than_its_background_and_by_the_young(log, size):
+    level, size_arcmin, no = torch.tensor(10.0**log), torch.tensor(size), torch.tensor(False)
+    threshold = threshold_difference(level, size_arcmin, no)
+    assert threshold > threshold_difference(level, 1.1 * size_arcmin, no) and threshold > threshold_difference(level, size_arcmin, ~no) > 0
+    assert threshold < threshold_difference(level, size_arcmin, no, age_years=60)
+    # His fits meet within 4 %, over a step of 1 % of the luminance.
+    assert threshold_difference(1.01 * level, size_arcmin, no) == pytest.approx(float(threshold), rel=0.05)
 
 
 def test_curve_has_the_values_of_its_formula():

@@ -130,6 +130,19 @@ PATTERNS = {
             "rules": ("r149-passing-c",),
         }
     ),
+    # Found by benchmarks/beams.py for a detector in fog; as much light as the low beam, also on what is above its cut-off.
+    "camera": Pattern(
+        hot_cd=18_400,
+        hot_v_deg=-0.45,
+        hot_left_deg=9.4,
+        hot_right_deg=9.4,
+        hot_up_deg=1.45,
+        hot_down_deg=1.45,
+        broad_cd=0,
+        broad_width_deg=22.0,
+        near_v_deg=-1.2,
+        near_deg=4.0,
+    ),
 }
 
 

@@ -241,6 +241,17 @@ def test_it_is_the_lost_object_that_brings_light_back(bright, dim, rises):
     assert (state.share > low) == rises
 
 
+def test_the_base_beam_alone_keeps_the_least_share_in_which_objects_are_found():
+    function = ObjectBasedParams(method="ambient")
+    state, shares = function.start(), []
+    for k in range(70):  # less than its patience
+        seen = now(person(score=0.9 if state.share > 0.3 else math.nan), time_s=k / 30)
+        assert function.adapted(state, seen) == ()
+        state = function.step(state, seen)
+        shares.append(state.share)
+    assert min(shares) == 0.25 and shares[-40:] == [0.5] * 40, "halved once too often, then doubled"
+
+
 AHEAD = torch.tensor([[2.0, 0.6, 0.65], [2.0, -0.6, 0.65]], dtype=torch.float64)
 
 

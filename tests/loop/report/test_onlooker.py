@@ -91,14 +91,14 @@ def test_a_street_lamp_veils_as_its_illuminance_at_the_eye_does():
     cos = float(axis @ away / away.norm())
     expected = cd * cos / float(away.norm()) ** 2 * float(veil_per_lux(torch.tensor(math.degrees(math.acos(cos))), 40.0))
     # 5 %: the pixel's middle lies beside the axis
-    assert float(light._glare(lit, [], ())[0, row, column]) == pytest.approx(expected, rel=0.05)
-    assert not dark._glare(dark._lit(0.0), [], ()).any()
+    assert float(light.glare(lit, [], ())[0, row, column]) == pytest.approx(expected, rel=0.05)
+    assert not dark.glare(dark._lit(0.0), [], ()).any()
 
 
 def test_tail_lamps_veil_in_red():
     ahead = {"kind": "car", "name": "ahead", "track": [{"position_m": [20.0, 0.0, 0.0]}]}
     look = looker(simulation_of(objects=[ahead]), driver(240))
-    red, _, blue = look._glare(look._lit(0.0), [], ()).amax((1, 2)).tolist()
+    red, _, blue = look.glare(look._lit(0.0), [], ()).amax((1, 2)).tolist()
     assert red > 10 * blue > 0
 
 
@@ -154,12 +154,12 @@ def test_an_oncoming_driver_is_veiled_by_the_own_lamps():
     result = simulation.evaluate(simulation.step(simulation.start())[1])
     view, lights = oncoming(241), [each.u for each in result.exposures[0].lights]
     onlooker = Onlooker.of(simulation, view, with_car=True, rides=first_oncoming(simulation))
-    veiled = onlooker._glare(onlooker._lit(0.0), lights, ())
+    veiled = onlooker.glare(onlooker._lit(0.0), lights, ())
     middle = float(veiled[0, view.height // 2, view.width // 2])
     assert result.glare["eye"].veil_cd_m2 > 1
     # 5 %: the pixel's middle is 0.08 deg from the axis, the lamp 4 deg, and the veil falls with the square
     assert middle == pytest.approx(result.glare["eye"].veil_cd_m2, rel=0.05)
-    masked = onlooker._glare(onlooker._lit(0.0), [0 * u for u in lights], ())
+    masked = onlooker.glare(onlooker._lit(0.0), [0 * u for u in lights], ())
     assert float(masked[0, view.height // 2, view.width // 2]) < 0.01 * middle, "but for the lamps of others"
     lit = onlooker._lit(0.0)
     away = (lit.surfaces.position - lit.eye.origin[:, None, None].float()).norm(dim=0)

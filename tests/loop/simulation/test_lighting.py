@@ -1,11 +1,13 @@
 """Scenarios run, are recorded as they went, and replay."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
 
 from luxloop import Simulation, run
+from luxloop.controllers.functions.base_beams import BaseBeam
 from luxloop.loop.report.picture import camera_luminance
 from luxloop.perception.camera import noise_std
 from tests.loop.conftest import scenario_of, simulated, toml, van
@@ -42,6 +44,25 @@ def test_objects_on_a_road_are_seen_and_tracked_at_its_height():
         assert float(van.T_world_object[2, 3]) == pytest.approx(height_m, abs=1e-9) == float(foot)
     (sunk,) = lit(road=road).situation(0.0).objects
     assert float(sunk.T_world_object[2, 3]) == 0
+
+
+def test_a_beam_leaves_the_rest_of_its_share_to_another():
+    def u(*keys: str) -> torch.Tensor:
+        simulation = lit(*(f"lighting.base.{key}" for key in keys), functions={})
+        return simulation.modules[0].base(simulation.planner.plan(simulation.situation(0.0)))
+
+    high, low, mixed = u(), u("beam=low"), u("rest=low", "share=0.3")
+    torch.testing.assert_close(mixed, 0.3 * high + 0.7 * low)
+    assert torch.equal(u("share=0.3"), 0.3 * high) and torch.equal(u("beam=off", "rest=low", "share=0"), low)
+    bent = u("rest=low", "share=0.3", "bend_deg=5")
+    torch.testing.assert_close(bent, 0.3 * u("bend_deg=5") + 0.7 * u("beam=low", "bend_deg=5"))
+    result = lit("lighting.base.rest=low", "lighting.base.beam=off", "lighting.base.share=0.5", functions={}).at(0)
+    assert result.plan.base.shares == " at 50 %, low beam at 50 %" and float(result.illuminance.max()) > 0
+
+
+def test_rules_judge_the_beam_with_its_rest_and_undimmed_without():
+    beam = BaseBeam("high", share=0.3)
+    assert beam.undimmed == BaseBeam("high") and replace(beam, rest="low").undimmed.share == 0.3
 
 
 def test_pictures_have_the_cameras_noise_and_measured_light_has_none():

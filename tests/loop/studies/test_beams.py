@@ -57,6 +57,17 @@ def test_the_gradient_goes_through_lamps_scene_camera_and_network():
     assert losses[0] - losses[1] == pytest.approx(2 * step * float(slopes.square().sum()), rel=0.1)
 
 
+def test_light_in_fog_counts_and_the_gradient_goes_through_it():
+    found = evaluator(BeamGoal(metric="weber_contrast"), air=[{"visibility_m": 30.0}])
+    lights = tuple(u.requires_grad_(True) for u in begin(found))
+    with torch.enable_grad():
+        result = found.evaluate(lights)
+        (sky,) = torch.autograd.grad(result.luminance[:20].sum(), lights[:1])
+    frame = found.simulation.at(0).luminance
+    torch.testing.assert_close(result.luminance.detach(), frame, rtol=1e-4, atol=1e-4)  # texels or pixels of light: float32
+    assert bool((sky > 0).any()), "what is above the horizon is lit by the air alone"
+
+
 def test_descent_raises_a_metric_or_saves_energy():
     found = evaluator(BeamGoal(metric="weber_contrast"))
     start = begin(found)
