@@ -24,6 +24,7 @@ from torch import Tensor
 from luxloop import Simulation, load_lamp, validate
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.report.onlooker import Onlooker
+from luxloop.loop.report.style import drawing
 from luxloop.loop.report.views import driver
 from luxloop.loop.simulation.lamps import ShiningModule
 from luxloop.loop.studies.beams import alike
@@ -46,7 +47,7 @@ WEATHER = {"clear": {}, "fog": {"visibility_m": 100.0}, "rain": {"rain_mm_h": 20
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the camera's beam
 WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the camera in a search
 LOW, BEST, CUT, LOOP, FOG_LIGHT, FULL = "low beam", "camera 50 %", "camera, cut off", "by confidence", "fog light", "full light"
-NO_AIR = ", without backscatter"
+ORACLE, NO_AIR = "best in each world", ", without backscatter"
 STEPS, LEAST = 24, 0.15  # of the loop by confidence, and its least share
 FOG = pattern("low").model_copy(  # wide, below a flat cut-off, and dark above
     update={
@@ -217,8 +218,15 @@ def judge(seed: int, weather: str, weights: Sequence[Sequence[float]]) -> dict[s
     return found
 
 
-def table_of(worlds: Sequence[Mapping[str, Mapping[str, float]]]) -> dict[str, dict[str, Any]]:
-    """Figures by beam, with 95 % intervals of a bootstrap over worlds: recall, and revealing power, each also less the low beam's."""
+def table_of(found: Sequence[Mapping[str, Mapping[str, float]]]) -> dict[str, dict[str, Any]]:
+    """Figures by beam, with 95 % intervals of a bootstrap over worlds: recall, and revealing power, each also less the low beam's; and of
+    the beam of as much flux at most that finds most in each world, which is a bound for all of them.
+    """
+    most_lm = 1.01 * found[0][LOW]["lm"]
+    worlds = [
+        {**world, ORACLE: max((each for each in world.values() if each.get("lm", math.inf) < most_lm), key=lambda each: each["right"])}
+        for world in found
+    ]
     rows = pd.DataFrame([{"world": k, "beam": name, **each} for k, world in enumerate(worlds) for name, each in world.items()])
     by = {key: rows.pivot(index="world", columns="beam", values=key)[[*worlds[0]]] for key in rows.columns.drop(["world", "beam"])}
     draws = np.random.default_rng(0).integers(len(worlds), size=(DRAWS, len(worlds)))
@@ -273,6 +281,27 @@ def search(given: Namespace) -> dict[str, Any]:
     return {"best": rows}
 
 
+def draw(tables: Mapping[str, Mapping[str, Mapping[str, Any]]], file: Path) -> None:
+    """The fronts of recall over revealing power with their 95 % intervals, a panel for each weather."""
+    groups = {
+        "share of the camera's beam": [LOW, *(f"camera {100 * share:.0f} %" for share in SHARES[1:])],
+        "searched, by weight": [f"weight {weight:g}" for weight in WEIGHTS],
+        **{name: [name] for name in (LOOP, CUT, FOG_LIGHT, "adverse")},
+    }
+    with drawing(file, (5.2 * len(tables), 4.4)) as figure:
+        for k, (weather, table) in enumerate(tables.items()):
+            axes = figure.add_subplot(1, len(tables), k + 1)
+            for label, names in groups.items():
+                x, y = (np.array([table[name][key] for name in names]) for key in ("revealing power", "recall"))
+                ends = (np.array([table[name][f"{key}, 95 %"] for name in names]).T for key in ("revealing power", "recall"))
+                errors = [np.abs(end - value) for end, value in zip(ends, (x, y), strict=True)]
+                axes.errorbar(x, y, errors[1], errors[0], fmt="o-", label=label, elinewidth=0.3, markersize=4)
+                for name, *at in zip(names, x, y, strict=True) if len(names) > 1 else ():
+                    axes.annotate(name.removeprefix("camera ").removeprefix("weight "), at, (4, 4), textcoords="offset points", fontsize=7)
+            axes.set(title=weather, xlabel="driver: revealing power", ylabel="camera: recall")
+        axes.legend(fontsize=7)
+
+
 def measure(given: Namespace) -> dict[str, Any]:
     if given.search:
         return search(given)
@@ -291,6 +320,7 @@ def measure(given: Namespace) -> dict[str, Any]:
         show(f"{weather}, {len(worlds)} worlds", tables[weather])
     if "fog" in tables:
         goals.append(Goal("Recall in fog over the low beam at equal flux", tables["fog"][BEST]["recall - low"], 0.1, True))
+    draw(tables, Path(given.out) / "front.png")
     return {"tables": tables, "goals": goals, "failures": failures}
 
 

@@ -59,7 +59,7 @@ def test_the_gradient_goes_through_lamps_scene_camera_and_network():
 
 def test_light_in_fog_counts_and_the_gradient_goes_through_it():
     found = evaluator(BeamGoal(metric="weber_contrast"), air=[{"visibility_m": 30.0}])
-    lights = tuple(u.requires_grad_(True) for u in begin(found))
+    lights = tuple(u.clone().requires_grad_(True) for u in begin(found))
     with torch.enable_grad():
         result = found.evaluate(lights)
         (sky,) = torch.autograd.grad(result.luminance[:20].sum(), lights[:1])
