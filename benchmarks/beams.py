@@ -291,13 +291,15 @@ def draw(tables: Mapping[str, Mapping[str, Mapping[str, Any]]], file: Path) -> N
     with drawing(file, (5.2 * len(tables), 4.4)) as figure:
         for k, (weather, table) in enumerate(tables.items()):
             axes = figure.add_subplot(1, len(tables), k + 1)
-            for label, names in groups.items():
+            for number, (label, names) in enumerate(groups.items()):
                 x, y = (np.array([table[name][key] for name in names]) for key in ("revealing power", "recall"))
                 ends = (np.array([table[name][f"{key}, 95 %"] for name in names]).T for key in ("revealing power", "recall"))
                 errors = [np.abs(end - value) for end, value in zip(ends, (x, y), strict=True)]
                 axes.errorbar(x, y, errors[1], errors[0], fmt="o-", label=label, elinewidth=0.3, markersize=4)
-                for name, *at in zip(names, x, y, strict=True) if len(names) > 1 else ():
-                    axes.annotate(name.removeprefix("camera ").removeprefix("weight "), at, (4, 4), textcoords="offset points", fontsize=7)
+                places = dict(zip(zip(x, y, strict=True), names, strict=True)) if len(names) > 1 else {}
+                for at, name in places.items():
+                    text, below = name.removeprefix("camera ").removeprefix("weight "), (4, 5 - 16 * number)
+                    axes.annotate(text, at, below, textcoords="offset points", fontsize=7, color=f"C{number}")
             axes.set(title=weather, xlabel="driver: revealing power", ylabel="camera: recall")
         axes.legend(fontsize=7)
 
