@@ -200,7 +200,7 @@ class Planner:
 
     def draw(self, now: Situation, states: States) -> dict[str, tuple[Primitives, ...]]:
         """The primitives of each function."""
-        lights = [each for each in self.functions.values() if isinstance(each, ObjectBasedParams)]
+        lights = [each for each in self.functions.values() if isinstance(each, ObjectBasedParams) and each.method != "ambient"]
         lit = frozenset(each.name for light in lights for each in light.select_present(now))
         now = replace(now, symbols=dict(self.symbols), lit=lit)
         found = {}

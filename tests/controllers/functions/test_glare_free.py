@@ -193,6 +193,8 @@ def test_the_guard_leaves_whom_object_light_lights_to_it():
     rider = TrackedObject("r", "cyclist", pose_from_degrees((20.0, 3.0, 0.0)), (0.4, 0.5, 1.7))
     tables = {"guard": {"kind": "glare_free"}, "light": {"kind": "object_based", "categories": ["cyclist"]}}
     planner = Planner.prepare(tables, LightingParams())
+    ambient = Planner.prepare({**tables, "light": {**tables["light"], "method": "ambient"}}, LightingParams())
+    assert ambient.draw(now(rider), ambient.start())["guard"]
     for each, masks in ((rider, 0), (replace(rider, until_s=0.0), 1), (car(20.0, 3.0), 1)):
         assert len(planner.draw(now(each), planner.start())["guard"]) == masks
 
