@@ -54,7 +54,8 @@ SCOTOPIC, MESOPIC = 0.00418, 0.6  # cd/m^2, limits of the ranges of Adrian's fit
 def threshold_difference(background: Tensor, size_arcmin: Tensor, darker: Tensor, age_years: float = 25.0, seen_s: float = 0.2) -> Tensor:
     """Luminance difference in cd/m^2 at which a target is just seen, in the shape of its arguments (W. Adrian, "Visibility of targets:
     model for calculation", Lighting Research and Technology 21, 1989): `k (sqrt(Phi) / size + sqrt(L))^2` by Ricco's and Weber's laws, with
-    factors for targets darker than their background, for the time that they are seen, and for the age.
+    factors for targets darker than their background (0.5 in the scotopic range, as in IES RP-8), for the time that they are seen, and for
+    the age.
 
     background: luminance that the eye is adapted to, from 1e-4 cd/m^2 on, with the veil. size_arcmin: below 60. darker: bool. age_years: 23
     to 64.
@@ -68,6 +69,7 @@ def threshold_difference(background: Tensor, size_arcmin: Tensor, darker: Tensor
     brighter = PROBABILITY * (ricco / size_arcmin + weber) ** 2
     polarity = 10 ** -(10 ** -(torch.where(background >= 0.1, 0.125, 0.075) * (log + 1) ** 2 + 0.0245))
     polarity = 1 - polarity * size_arcmin ** (-0.6 * background**-0.1488) / (2.4 * brighter)
+    polarity = polarity.where(background > SCOTOPIC, 0.5)
     size, level = size_arcmin.log10() + 0.523, log + 6
     of_size = 0.36 - 0.0972 * size**2 / (size**2 - 2.513 * size + 2.7895)
     of_level = 0.355 - 0.1217 * level**2 / (level**2 - 10.4 * level + 52.28)
