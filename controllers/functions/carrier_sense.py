@@ -54,15 +54,15 @@ class CarrierSenseParams(Params):
 
     def step(self, state: CarrierState, now: Situation, contrast: float, wanted: bool) -> CarrierState:
         """The state after the frame `now.seen`. contrast: of the stretch (`stretch_contrast`). wanted: whether the car wants to draw."""
-        if now.seen is None or math.isnan(contrast):
-            return state
-        busy, taken_s = False, now.seen.time_s
-        if taken_s > state.since_s and not self.lights(state, now, taken_s):
+        busy, seen = False, None if math.isnan(contrast) else now.seen
+        if seen is not None and seen.time_s > state.since_s and not self.lights(state, now, seen.time_s):
             silent = (*state.silent, contrast)[-4 * self.pause_every :]
             busy = contrast - min(silent) > self.threshold_cd_m2
             state = replace(state, silent=silent, free=0 if busy else state.free + 1)
         if state.turn == "draws":
             return self._after_drawing(state, now, busy, wanted)
+        if seen is None:
+            return state
         if busy:
             state = replace(state, wait=_wait(now, 0))
         if wanted and state.free >= state.wait and len(state.silent) >= 2 * self.pause_every:

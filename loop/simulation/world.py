@@ -184,8 +184,9 @@ class LitScene:
         """
         if all(light.band is not None and light.band.stop <= light.band.start for light in lights):
             return self.base if rows is None else self.base[rows]
-        transports, dimmed = self.transports if not commands else (), lights
-        if commands:
+        if not commands:
+            transports, dimmed = self.transports, tuple(lights)
+        else:
             transports = tuple(self.transported(number, command) for number, command in enumerate(commands))
             dimmed = tuple(Utilisation(command.intensity * each.u, each.band) for each, command in zip(lights, commands, strict=True))
         direct = added_light(transports, dimmed, self.base, rows)

@@ -52,6 +52,12 @@ def agreed(turns: np.ndarray) -> int:
     return next(k for k in range(len(one)) if one[k : k + 10].all())
 
 
+@pytest.mark.parametrize(("time_s", "wanted", "turn"), [(1.0, True, "draws"), (1.6, True, "waits"), (1.0, False, "idle")])
+def test_a_turn_ends_with_its_time_or_the_wish_also_where_the_stretch_is_out_of_the_image(time_s, wanted, turn):
+    now = replace(situations.now(time_s=time_s, rate_hz=RATE_HZ), seen=DARK)
+    assert SENSE.step(CarrierState("draws", since_s=0.0), now, math.nan, wanted).turn == turn
+
+
 def test_a_lone_car_draws_in_the_first_frame_after_its_wish():
     turns, light = share(0, wants=(lambda step: step >= START,))
     assert not turns[: START + 1].any()
