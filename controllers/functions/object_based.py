@@ -209,11 +209,15 @@ class ObjectBasedParams(SelectionParams):
     def adapted(self, state: ObjectBasedState, now: Situation) -> tuple[Primitives, ...]:
         """The primitives of each object: its light and its dark part."""
         parts: list[Primitives] = []
-        for each in () if self.method == "ambient" else self.select(now):
+        for each in self.lit(now):
             share = fade(now.time_s, each.since_s, each.until_s, 0.0, self.fade_out_s)
             if share:
                 parts += self.light.on(each, now.lamps, share * self.lx(state, each), self.priority, now.mask_layer(each), self.modules)
         return tuple(parts)
+
+    def lit(self, now: Situation) -> tuple[TrackedObject, ...]:
+        """The selected objects, on which it sets the light; none where it dims the base beam alone."""
+        return () if self.method == "ambient" else self.select(now)
 
     def base_share(self, state: ObjectBasedState) -> float:
         return state.share

@@ -63,8 +63,8 @@ class GlareFreeParams(SelectionParams):
         """A cuboid of six outward primitives for each object, forced and of infinite weight, and one cuboid for each soft zone.
 
         A fading mask lets light through again and must yield to full masks, so its weight is finite and its priority lower. Full masks
-        yield to the light on nearer objects. They let PROBE_LX through if they may hide a tracked road user who is not masked. Whom object
-        light lights it keeps from glare itself.
+        yield to the light on nearer objects. They let PROBE_LX through if they may hide a tracked road user who is not masked. Objects that
+        object light lights have no mask: that function keeps their heads dark.
         """
         masked = [each for each in self.select(now) if each.name not in now.lit]
         users = [each for each in now.objects if each.category in ROAD_USERS and each.present(now.time_s)]

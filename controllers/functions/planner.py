@@ -200,8 +200,8 @@ class Planner:
 
     def draw(self, now: Situation, states: States) -> dict[str, tuple[Primitives, ...]]:
         """The primitives of each function."""
-        lights = [each for each in self.functions.values() if isinstance(each, ObjectBasedParams) and each.method != "ambient"]
-        lit = frozenset(each.name for light in lights for each in light.select_present(now))
+        lights = [each for each in self.functions.values() if isinstance(each, ObjectBasedParams)]
+        lit = frozenset(each.name for light in lights for each in light.lit(now) if each.present(now.time_s))
         now = replace(now, symbols=dict(self.symbols), lit=lit)
         found = {}
         for name, function in self.functions.items():

@@ -34,7 +34,7 @@ def road(albedo: float = 0.2) -> Body:
 
 
 def share(triangles: Triangles, point: tuple[float, float, float], normal: torch.Tensor) -> float:
-    """Illuminance of a point by surfaces of 1 cd/m^2, as a share of that under such a sky."""
+    """Illuminance of a point by surfaces of 1 cd/m^2, as a share of that by a whole sky of it."""
     found = gather(triangles, torch.tensor(point).double()[:, None], normal)
     return float(found.illuminance(torch.ones(len(found.point)), 1)) / math.pi
 
